@@ -1,16 +1,15 @@
 """The kinds, keys and units of a scenario's sections, and messages about faults in one."""
 
-from __future__ import annotations
-
 import difflib
 import re
 import tomllib
 from collections.abc import Collection, Mapping
 from functools import cache, lru_cache
 from importlib.resources import files
-from typing import TYPE_CHECKING, Any, get_args
+from typing import Any, get_args
 
 from pydantic import ValidationError
+from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
 from closedloop.base.errors import one_line
@@ -19,10 +18,6 @@ from closedloop.base.sections import Section, SizeError, field_units, is_left_ou
 from closedloop.scenario.scenario import Scenario, families_in
 from closedloop.scenario.tables import described_key, plain_section, table_type
 from robot_models.errors import shown as shown_value
-
-if TYPE_CHECKING:
-    from pydantic.fields import FieldInfo
-
 
 ALIKE = 0.5  # of difflib's ratio, from which on a word is taken for a misspelt one
 

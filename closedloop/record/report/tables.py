@@ -13,7 +13,7 @@ from closedloop.mechanics.closure.contact_force import FREE
 from closedloop.mechanics.friction.law import FrictionLaw
 from closedloop.mechanics.integrators import ADAPTIVE, scheme_of
 from closedloop.record.clearance import passing_note
-from closedloop.record.columns.record import Record
+from closedloop.record.columns.record import Event, Record
 from closedloop.record.report.control_verdict import unknown_text
 from closedloop.record.report.halved import halved_rows
 from closedloop.record.report.run_values import contact_rows
@@ -24,8 +24,6 @@ from robot_models.notes import notes as robot_notes
 
 if TYPE_CHECKING:
     from rich.console import Console
-
-    from closedloop.record.columns.record import Event
 
 
 # Quantity, value, unit, and what stands beside it.

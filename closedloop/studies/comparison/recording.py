@@ -6,12 +6,9 @@ with accelerations from zero-phase filters. The recorded force is compared with 
 length, or along an axis, on the robot or on the environment.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,15 +18,12 @@ from closedloop.base.arguments import fields_checked
 from closedloop.base.arrays import Array
 from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.record.report.control_verdict import rms
+from closedloop.record.run import Run
 from closedloop.studies.comparison.explain import Hypothesis, Reason, explain
 from closedloop.studies.identify.log import Log, LogError, check_motion, check_positions, check_time, check_torques
 from closedloop.studies.identify.motion import usual_cutoff
 from closedloop.studies.identify.read import columns_named, factors_of, joints_of, listed, run_of, table_of, time_of
-
-if TYPE_CHECKING:
-    from closedloop.record.run import Run
-    from robot_models import RobotModel
-
+from robot_models import RobotModel
 
 # What the column of the tip's speed is called.
 SPEED = ("speed", "tip_speed", "tcp_speed")

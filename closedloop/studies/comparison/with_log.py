@@ -32,12 +32,11 @@ from closedloop.studies.comparison.recording import (
     read_recording,
 )
 from closedloop.studies.identify.log import LogError
+from robot_models import RobotModel
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-    from robot_models import RobotModel
 
 
 # Shifts that are tried, the rows that they are tried on, and the share of the shorter one that must overlap.

@@ -33,8 +33,6 @@ from closedloop.studies.sweep.store import FORMAT, Store, check_identity, occupi
 if TYPE_CHECKING:
     import pyarrow as pa
 
-    from closedloop.studies.sweep.store import Store
-
 
 METADATA = "closedloop_sweep"
 

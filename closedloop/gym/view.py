@@ -1,5 +1,6 @@
 """What an environment shows: a picture drawn without a display, or the arm in the browser."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -12,13 +13,16 @@ from closedloop.figures.scene.scene import (
     WANTED,
     grid_triangles,
     joint_frames,
-    mechanism_of,
-    quaternions,
     round_down,
+    scene_of,
 )
-from closedloop.figures.scene.solids import BEYOND, Shape, robot_shapes, solids_mesh
+from closedloop.figures.scene.solids import Shape, robot_shapes, solids_mesh
 from closedloop.gym.core import Core
+from closedloop.loop.events.table import EVENT_WIDTH
+from closedloop.record.run import Run
+from closedloop.simulation.engines.loops import COMPILED
 from closedloop.simulation.engines.problem import Problem
+from closedloop.simulation.simulate import as_run
 from robot_models.cached import cached_property
 from robot_models.coordinates import with_quaternions
 
@@ -103,8 +107,7 @@ class Picture:
             axes.plot_surface(x, y, z, color="0.8", alpha=0.45, edgecolor="0.6", linewidth=0.4)
         elif self._draw_walls(problem, arm, now.q[i]):
             line = line[-1:]  # what is seen is the tip between them
-        path = problem.table[:, 2 * problem.robot.n : 2 * problem.robot.n + 3]
-        axes.plot(*path[:: max(1, len(path) // TRAIL)].T, color=WANTED, linewidth=1.0)
+        axes.plot(*path_of(problem).T, color=WANTED, linewidth=1.0)
         axes.scatter(*now.wanted_tip[i][:, None], color=PATH, s=12)
         for force, kind in ((now.f[i] * now.normal[i], "contact force"), (now.friction_force[i], "friction")):
             axes.quiver(*tip, *(arm.scale * force), color=ARROWS[kind], linewidth=2.0, arrow_length_ratio=0.15)
@@ -155,81 +158,53 @@ class Browser:
 
         self._core = core
         self._run: dict[str, Any] | None = None
-        self._arm: _Arm | None = None
         self._problem: Problem | None = None
-        self._past: list[tuple[float, ...]] = []
+        self._past: list[tuple[Array, Array, float]] = []
         self._steps = 0
         self._page = Shown("closedloop.gym", run=lambda client: self._run)
         print(f"closedloop.gym: {self._page.url}", flush=True)
 
     def show(self, i: int) -> None:
         """Bring the page up to date with environment `i`."""
-        from closedloop.lab.curves import COLOURS
+        from closedloop.lab.curves import main_panel
+        from closedloop.lab.drawn import curves, frames, robot_message, run_message, space_message
+        from closedloop.lab.share import hello
 
-        problem, now = self._core.ensemble.problem(i), self._core.now
-        if problem is not self._problem:
-            self._begin(problem, i)
-        time = float(now.time[i])
-        if self._past and time < self._past[-1][0]:  # an episode begins
+        problem, ensemble, time = self._core.ensemble.problem(i), self._core.ensemble, float(self._core.now.time[i])
+        if problem is not self._problem or time < self._past[-1][2]:  # an episode begins
             self._past.clear()
-        names, forces = shown_forces(self._core, i)
-        self._past = [*self._past[-TRAIL:], (time, *forces.tolist(), float(now.f_des[i]))]
-        times, *found, wanted = np.array(self._past).T
+        self._past = [*self._past[-TRAIL:], (ensemble.rows[i].copy(), ensemble.wanted[i].copy(), time)]
+        run = run_of(problem, *map(np.array, zip(*self._past, strict=True)))
+        scene, last, scenario = scene_of(run), [len(run) - 1], problem.scenario
+        if problem is not self._problem:
+            self._problem = problem
+            about = {"scenario": scenario.to_toml(), "command": ""}
+            self._page.tell("hello", hello(scenario, run.model, live=False) | about)
+            self._page.tell("robot", robot_message(scene) | {"robot": 1})
+            path = {"name": "desired path", "colour": WANTED, "points": path_of(problem)}
+            self._page.tell("space", space_message(scene, last) | {"robot": 1, "paths": [path]})
         self._steps += 1
-        traces = [
-            {"label": name, "colour": COLOURS[k % len(COLOURS)], "limit": False, "values": values}
-            for k, (name, values) in enumerate(zip(names, found, strict=True))
-        ]
-        if problem.scenario.has_surface:
-            traces.append({"label": "commanded", "colour": "#009E73", "limit": True, "values": wanted})
-        panel = {"name": "force", "title": "contact force [N]", "time": times, "band": 0.0, "traces": traces}
-        self._run = {
-            "begin": times[0], "end": time, "step": problem.h, "stopped": "", "panels": [panel], "modes": None,
-            "marks": [], "events": 0, "columns": [], "n": self._steps, "partial": False, "follow": True, "line": "",
-        }  # fmt: skip
-        self._page.tell("frame", self._frame(i) | {"robot": 1})
+        panels = curves(run, there=[main_panel(run)])
+        self._run = run_message(run, panels, n=self._steps, partial=False, follow=True, line="") | {"columns": []}
+        self._page.tell("frame", frames(scene, last) | {"robot": 1})
         self._page.tell_run()
-
-    def _frame(self, i: int) -> dict[str, Any]:
-        """Return where the links are and the forces on the tip, as `closedloop.lab.drawn.frames` does."""
-        assert self._arm is not None
-        now = self._core.now
-        axes, origins = self._arm.places(now.q[i])
-        places = np.vstack([np.hstack([quaternions(axes), origins]), [1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]])
-        forces = np.array([now.f[i] * now.normal[i], now.friction_force[i]])
-        tails = np.array([now.tip[i], now.tip[i]])
-        return {"time": np.array([now.time[i]]), "places": places, "tails": tails, "forces": forces}
-
-    def _begin(self, problem: Problem, i: int) -> None:
-        from closedloop.lab.drawn import MEANINGS
-
-        self._problem, self._arm = problem, _Arm(problem)
-        scenario, arm, tip = problem.scenario, self._arm, self._core.now.tip[i]
-        about = {"about": scenario.description, "scenario": scenario.to_toml(), "command": ""}
-        self._page.tell("hello", {"live": False, "name": scenario.name, "title": scenario.name, **about})
-        shapes = [
-            {"joint": s.joint, "kind": "", "colour": s.colour, "vertices": s.vertices,
-             "faces": np.asarray(s.faces, np.uint32)} for s in arm.shapes
-        ]  # fmt: skip
-        joints = mechanism_of(arm.model).njoints
-        self._page.tell("robot", {
-            "joints": joints + 1, "ground": joints, "meanings": MEANINGS, "clear": [], "shapes": shapes, "robot": 1,
-        })  # fmt: skip
-        vertices, faces = _surface(problem)
-        path = problem.table[:, 2 * problem.robot.n : 2 * problem.robot.n + 3]
-        view = {"centre": tip, "radius": 2.0 * HALF if scenario.has_surface or not len(faces) else 3.0 * BEYOND}
-        self._page.tell("space", {
-            "size": problem.robot.reach, "usual": max(abs(scenario.law.force), 1.0), "passing": None, "near": view,
-            "whole": {"centre": 0.5 * tip, "radius": problem.robot.reach}, "normal": problem.frame[0], "robot": 1,
-            "surface": {"vertices": vertices, "faces": faces},
-            "arrows": [{"name": k, "kind": k, "colour": ARROWS[k]} for k in ("contact force", "friction")],
-            "kinds": ["contact force", "friction"], "frames": self._frame(i),
-            "paths": [{"name": "desired path", "colour": WANTED, "points": path[:: max(1, len(path) // TRAIL)]}],
-        })  # fmt: skip
 
     def close(self) -> None:
         """Close the page."""
         self._page.close()
+
+
+def run_of(problem: Problem, rows: Array, wanted: Array, time: Array) -> Run:
+    """Return instants of an episode as a run: recorded rows (N, k), what is desired (N, 2 n + 10), times (N,), s."""
+    mine = problem.with_table(np.repeat(wanted, problem.nodes, axis=0))  # of a step's nodes a run has the first
+    run = as_run(mine, rows, np.empty((0, EVENT_WIDTH)), 0.0, COMPILED)
+    return replace(run, columns={**run.columns, "time": time})
+
+
+def path_of(problem: Problem) -> Array:
+    """Return points (k, 3) of the desired path."""
+    path = problem.table[:, 2 * problem.robot.n : 2 * problem.robot.n + 3]
+    return path[:: max(1, len(path) // TRAIL)]
 
 
 def _surface(problem: Problem) -> tuple[Array, NDArray[np.uint32]]:

@@ -448,7 +448,7 @@ def test_a_page_shows_an_environment_at_its_address(capsys):
                 found[message["kind"]] = message
                 if message["kind"] == "run":
                     socket.send('{"do": "shown"}')
-        force, wanted = (trace["values"] for trace in found["run"]["panels"][0]["traces"])
+        *_, force, wanted = (trace["values"] for trace in found["run"]["panels"][0]["traces"])
         assert np.all(np.isfinite(force))
         assert np.all(wanted >= 0.0)
         frame = found["frame"]

@@ -295,7 +295,7 @@ def identify(
     found = fit(W, x.torque, used, least=x.torque_noise, seen=seen)
     bias = np.full(len(base.kept), np.nan)
     if method == "iv":
-        halves = [joined([motion(one, cutoff, slice(k, None, 2)) for one in logs]) for k in (0, 1)]
+        halves = [joined([motion(one, cutoff, k) for one in logs]) for k in (0, 1)]
         even, odd = (regressor.averaged(half)[:, :, base.kept] for half in halves)
         better = fit(even, x.torque, used, odd, found.told, x.torque_noise)
         bias = found.value - better.value

@@ -14,8 +14,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import signal, stats
+from scipy.interpolate import Akima1DInterpolator, CubicSpline
 
 from closedloop.base.arrays import Array
 from closedloop.studies.identify.log import Log, LogError
@@ -32,6 +32,10 @@ MOVES = 0.02
 NOISE_ONLY = 1e-6
 # A change of a position below this share of it is rounding, and no count of an encoder.
 ROUNDING = 1e-9
+# Of changes by less than so many counts more than this share are whole multiples of one, to this share of it.
+FEW, MOSTLY, NEARLY = 5.5, 0.9, 0.1
+# Changes of a count that tell the position between them.
+FEWEST_CHANGES = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,12 +76,45 @@ def white_noise(x: Array) -> Array:
 
 
 def count_of(x: Array) -> Array:
-    """Return the size of a count in each column, (n,), the least change of it; 0 where no row repeats another."""
+    """Return the size of a count in each column, (n,), the least change of it; 0 where it does not count.
+
+    What counts has rows that repeat others, and its changes are whole multiples of the least. A joint that rests and
+    then moves smoothly has changes of any size.
+    """
     steps = np.abs(np.diff(x, axis=0))
     repeated = (steps == 0.0).any(axis=0)
     steps[steps <= ROUNDING * np.abs(x).max(axis=0)] = np.inf
     least = steps.min(axis=0)
-    return np.where(repeated & np.isfinite(least), least, 0.0)
+    counts = repeated & np.isfinite(least)
+    for j in np.flatnonzero(counts):
+        few = steps[steps[:, j] < FEW * least[j], j] / least[j]
+        counts[j] = np.mean(np.abs(few - np.round(few)) < NEARLY) > MOSTLY
+    return np.where(counts, least, 0.0)
+
+
+def between_counts(q: Array) -> Array:
+    """Return positions (N, n) that encoders count, with those between two counts where there are counts.
+
+    A row tells a position to half a count; two rows between which the count changes tell it to the way of one row,
+    which is less where a joint is slow: there the error of a count lasts for many rows, and is no white noise. Between
+    such instants the position is interpolated (Akima's cubics), within half a count of its reading.
+    """
+    found = np.array(q)
+    for j, count in enumerate(count_of(q)):
+        before = np.flatnonzero(np.diff(q[:, j]))
+        if count == 0.0 or len(before) < FEWEST_CHANGES:
+            continue
+        changes = Akima1DInterpolator(before + 0.5, 0.5 * (q[before, j] + q[before + 1, j]))
+        rows = np.arange(before[0] + 1, before[-1] + 1)
+        half = 0.5 * count
+        found[rows, j] = np.clip(changes(rows), q[rows, j] - half, q[rows, j] + half)
+    return found
+
+
+def half_of(q: Array, k: int) -> Array:
+    """Return positions (N, n) of every other row, from row k on, with those of the rows between from a cubic."""
+    known = np.arange(k, len(q), 2)
+    return np.asarray(CubicSpline(known, between_counts(q[known]), axis=0)(np.arange(len(q))))
 
 
 def usual_cutoff(log: Log) -> float:
@@ -100,16 +137,16 @@ def usual_cutoff(log: Log) -> float:
     return float(min(ABOVE_MOTION * max(highest, f[1]), 0.2 / step))
 
 
-def motion(log: Log, cutoff: float, rows: slice | None = None) -> Motion:
+def motion(log: Log, cutoff: float, half: int | None = None) -> Motion:
     """Return the motion and the torques of a log.
 
     Parameters
     ----------
     cutoff : float
         Of the low-pass, Hz, below half the rate of the log. A window is half its period.
-    rows : slice, optional
-        Which rows of the positions are used, ``slice(0, None, 2)`` or ``slice(1, None, 2)``: the others are replaced by
-        what lies between them, so that two motions of one log have noise that is independent.
+    half : 0 or 1, optional
+        Every other row of the positions is used, from this one on: the others are replaced by what lies between them,
+        so that two motions of one log have noise that is independent.
     """
     step, N = log.step, len(log.time)
     if not 0.0 < cutoff < 0.5 / step:
@@ -128,10 +165,7 @@ def motion(log: Log, cutoff: float, rows: slice | None = None) -> Motion:
             f"{log.source}: {N} rows are {max(count, 0)} windows of {size * stride} at a cutoff of {cutoff:.4g} Hz: "
             "50 are needed; take a longer log, or a higher cutoff"
         )
-    q = log.q
-    if rows is not None:
-        known = np.arange(N)[rows]
-        q = _between(q, known)
+    q = between_counts(log.q) if half is None else half_of(log.q, half)
     filtered = signal.sosfiltfilt(signal.butter(4, 2.0 * cutoff * step, output="sos"), q, axis=0)
     v = np.gradient(filtered, step, axis=0)
     a = np.gradient(v, step, axis=0)
@@ -146,10 +180,3 @@ def motion(log: Log, cutoff: float, rows: slice | None = None) -> Motion:
         log.torque[used].reshape(*averaged, -1).mean(axis=1),
         size, noise, white_noise(log.torque) / np.sqrt(size * stride), cutoff,
     )  # fmt: skip
-
-
-def _between(q: Array, known: NDArray[np.int64]) -> Array:
-    """Return q with the rows that are not known from a cubic through the known ones beside them."""
-    from scipy.interpolate import CubicSpline
-
-    return CubicSpline(known, q[known], axis=0)(np.arange(len(q)))

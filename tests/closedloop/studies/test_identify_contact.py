@@ -1,5 +1,6 @@
 """The contact from a log: friction, a surface that gives, restitution, the sensor, and what a log does not tell."""
 
+import dataclasses
 import json
 
 import numpy as np
@@ -85,6 +86,25 @@ def test_biases_are_below_a_third_of_the_intervals_that_hold():
         assert np.mean((low <= true) & (true <= high)) >= 0.85, name
         assert half < 0.15 * abs(true) + 0.02 * (true == 0.0) or name == "sensor_delay", name
     assert sum(bool(x.misses) for x in found) <= len(found) // 10
+
+
+def counted(seed, count):
+    """Return a log whose positions are counts of encoders, m, from somewhere within a count on."""
+    log = recorded(seed, noise=(0.0, 0.1))
+    first = np.random.default_rng(1000 + seed).uniform(size=3) * count
+    return dataclasses.replace(log, q=np.round((log.q + first) / count) * count - first)
+
+
+@pytest.mark.parametrize("count", [2e-5, 5e-5])
+def test_intervals_of_encoders_that_count_cover(count):
+    """Of a tip that moves by forty counts along the normal, and by sixteen: the errors of counts are no white noise."""
+    found = [cl.identify_contact(counted(seed, count), point()) for seed in range(budget(6, 40))]
+    for name in ("friction", "viscous_friction", "stiffness", "damping", "surface_offset"):
+        value, low, high = np.array([[getattr(x[name], k) for k in ("value", "low", "high")] for x in found]).T
+        half = (high - low).mean() / 2.0
+        assert abs(value.mean() - TRUE[name]) < 0.8 * half, name
+        assert np.mean((low <= TRUE[name]) & (TRUE[name] <= high)) >= 0.8, name
+        assert half < 0.3 * abs(TRUE[name]), name
 
 
 def test_without_torques_the_delay_is_told_from_the_damping():

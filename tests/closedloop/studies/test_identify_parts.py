@@ -11,7 +11,15 @@ import robot_models
 from closedloop.studies.identify.fit import UNIQUE, fit, told_apart
 from closedloop.studies.identify.identify import PIECES, _pieces
 from closedloop.studies.identify.log import Log, LogError, check_velocities
-from closedloop.studies.identify.motion import ABOVE_MOTION, Motion, joined, motion, usual_cutoff
+from closedloop.studies.identify.motion import (
+    ABOVE_MOTION,
+    Motion,
+    between_counts,
+    count_of,
+    joined,
+    motion,
+    usual_cutoff,
+)
 from closedloop.studies.identify.regressor import NOISY, REST, Regressor, Terms, base_parameters
 
 SIZE = 4
@@ -106,6 +114,21 @@ def test_the_filter_halves_what_has_its_frequency_and_the_cutoff_is_ten_times_th
         share = 1.0 / (1.0 + ratio**8)
         assert np.abs(x.q[inner]).max(axis=0) == pytest.approx([share, 0.5 * share], rel=5e-3)
         assert np.abs(x.v[inner]).max(axis=0) == pytest.approx(10.0 * np.pi * np.array([share, 0.5 * share]), rel=5e-3)
+
+
+def test_positions_between_counts():
+    """They are nearer to a motion that the counts round, and no number that is no count is changed."""
+    t = np.linspace(0.0, 2.0, 2001)[:, None]
+    true = np.hstack([np.sin(3.0 * t), 0.01 * np.cos(2.0 * t), np.maximum(t - 0.5, 0.0) ** 3])
+    size = np.array([1e-3, 5e-4, 0.0])
+    q = np.hstack([np.round(true[:, :2] / size[:2]) * size[:2], true[:, 2:]])
+    np.testing.assert_allclose(count_of(q), size, rtol=1e-9, atol=0)
+    found = between_counts(q)
+    assert np.array_equal(found[:, 2], true[:, 2])
+    assert np.all(np.abs(found - q)[:, :2] <= 0.5 * size[:2])
+    off, before = (np.sqrt(np.mean((x - true) ** 2, axis=0))[:2] for x in (found, q))
+    assert np.all(off < [0.75, 0.3] * before)  # at three counts a row, and at 25 rows a count
+    assert np.array_equal(between_counts(true), true)
 
 
 def test_intervals_of_few_windows_of_correlated_noise_cover():

@@ -6,6 +6,7 @@ A surface that gives: stiffness, damping, where it is without a force, and how l
 
 Small delays enter as τ k n·ṙ + τ c n·r̈: beside damping a delay is told by the acceleration alone. It is found by
 steps of Gauss and Newton, each a linear fit with the positions of every other row as instruments for those between.
+Positions that encoders count are those between their counts (`closedloop.studies.identify.motion.between_counts`).
 
 Friction of a tip that slides on a plane: Coulomb's and a viscous part.
 
@@ -107,6 +108,11 @@ def compliance_of(windows: Windows, sensor: Sensor, z: float) -> Part:
         return one(W, force(value), used, Z).value
 
     covariance = found.covariance + spread(solved, read(late), sensor.covariance)
+    if touch.counted:
+        # Errors of a count are not independent in both halves: where a joint turns it is the same count of either. As
+        # long as they are alike by less than a half, what they bias is less than least squares differ by.
+        most = one(W, y, used).value - found.value
+        covariance = covariance + np.outer(most, most) / 3.0  # as if anything within ± that were as likely
     part.estimates = _estimates(found, covariance, late, middle, sensor, z)
     deep = odd[:, 0].max() - odd[:, 0]  # from the highest point of the contact
     extra = {

@@ -32,7 +32,16 @@ from closedloop.studies.comparison.recording import EDGE, Recording, expected_fo
 from closedloop.studies.identify.fit import Fit, fit, whiteness
 from closedloop.studies.identify.identify import WHITENESS_LEVEL, Estimate
 from closedloop.studies.identify.log import Log, LogError
-from closedloop.studies.identify.motion import EVALUATIONS, Motion, motion, usual_cutoff, white_noise
+from closedloop.studies.identify.motion import (
+    EVALUATIONS,
+    Motion,
+    between_counts,
+    count_of,
+    half_of,
+    motion,
+    usual_cutoff,
+    white_noise,
+)
 from robot_models.tool import carried_by
 
 # A force above this share of its range is surely of a contact; it counts as one above the other, or this many noises.
@@ -55,6 +64,9 @@ class Touch:
     position: Array  # (N, 3): of the tip, m, base axes
     # (N, 3) or (N, 1), optional: as recorded, N, on the robot: along the base's axes, or along the normal
     force: Array | None
+    # the same of positions between the counts of encoders: of all rows, and of every other row, see `half_of`
+    between: tuple[Array, Array, Array]
+    counted: bool  # whether the positions are counts of encoders
     axes: Array  # (N, 3, 3): columns: the axes of the tip's frame, in those of the base
     normal: Array  # (3,): of the plane, out of it
     # free, closed: (N,) bool: rows in which the tip touches nothing for sure, and touches for sure. Neither without a
@@ -83,15 +95,19 @@ class Touch:
 def touch_of(recording: Recording, robot: Robot, normal: Array) -> Touch:
     """Return where the tip of a recording is, and when it touches a plane."""
     time, q, force = recording.time, recording.positions, recording.force
+    counted = bool(count_of(q).any())
+    ways = [q, between_counts(q), half_of(q, 0), half_of(q, 1)]
     stride = -(-len(time) // EVALUATIONS)
     if stride > 1:
-        time, q = _averaged(time, stride), _averaged(q, stride)
+        time, *ways = (_averaged(x, stride) for x in (time, *ways))
         force = None if force is None else _averaged(force, stride)
-    axes, wrist = robot.frame_poses(robot.tip, q)
-    position = wrist + axes @ carried_by(robot.model.tools, robot.tip)[1]
+    arm = carried_by(robot.model.tools, robot.tip)[1]
+    poses = [robot.frame_poses(robot.tip, way) for way in ways]
+    position, whole, even, odd = (wrist + turned @ arm for turned, wrist in poses)
     none = np.zeros(len(time), dtype=bool)
     forces = None if force is None else force.reshape(len(time), -1)
-    touch = Touch(time, position, forces, axes, normal, none, none, recording.source)
+    between = (whole, even, odd)
+    touch = Touch(time, position, forces, between, counted, poses[0][0], normal, none, none, recording.source)
     return touch if forces is None else _told(touch)
 
 
@@ -120,7 +136,9 @@ def touch_of_speed(recording: Recording, normal: Array) -> Touch:
     if stride > 1:
         time, height, force = (_averaged(x, stride) for x in (time, height, force))
     axes, none = np.broadcast_to(np.eye(3), (len(time), 3, 3)), np.zeros(len(time), dtype=bool)
-    return _told(Touch(time, np.outer(height, normal), force[:, None], axes, normal, none, none, recording.source))
+    place = np.outer(height, normal)
+    between = place, half_of(place, 0), half_of(place, 1)
+    return _told(Touch(time, place, force[:, None], between, False, axes, normal, none, none, recording.source))
 
 
 def _averaged(x: Array, stride: int) -> Array:
@@ -166,7 +184,8 @@ class Windows:
         log = Log(touch.time, touch.position, touch.force, source=touch.source)
         if cutoff is None:  # slow motions too need windows enough
             cutoff = max(usual_cutoff(log), 0.5 * WINDOWS / (touch.time[-1] - touch.time[0]))
-        x, even, odd = (motion(log, cutoff, rows) for rows in (None, slice(0, None, 2), slice(1, None, 2)))
+        x, even, odd = (motion(replace(log, q=place), cutoff) for place in touch.between)
+        x = replace(x, noise=motion(log, cutoff).noise)
         return cls(x, even, odd, touch, cutoff)
 
     def mean(self, rows: Array) -> Array:

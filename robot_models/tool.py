@@ -49,6 +49,8 @@ class Tool:
         """
         xx, yy, zz, xy, xz, yz = self.inertia
         tensor = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+        if not any(self.inertia):
+            return tensor
         low, middle, high = np.linalg.eigvalsh(tensor)
         slack = 1e-9 * max(abs(high), abs(low))
         if low < -slack or high > low + middle + slack:

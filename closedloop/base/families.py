@@ -19,12 +19,13 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Iterator, Mapping
+from functools import cache
 from importlib import import_module
 from pathlib import Path
 from pkgutil import iter_modules
 from typing import Any, ClassVar, Generic, TypeVar
 
-from pydantic import ConfigDict, GetCoreSchemaHandler, ValidationInfo, model_validator
+from pydantic import ConfigDict, GetCoreSchemaHandler, TypeAdapter, ValidationInfo, model_validator
 from pydantic_core import CoreSchema, PydanticCustomError, PydanticKnownError, core_schema
 
 from closedloop.base.errors import ScenarioError
@@ -53,6 +54,9 @@ class Member:
         return file if package == cls.folder else f"{cls.__module__}:{cls.__qualname__}"
 
 
+OF_THIS_KIND = "_of_this_kind"  # the validator of `Parameters`, which looks at no key but `kind`
+
+
 class Parameters(Member, Section):
     """A member with parameters: a section of the scenario, typed, frozen, with units and bounds."""
 
@@ -67,6 +71,16 @@ class Parameters(Member, Section):
         if data.get("kind", name) != name:
             raise ValueError(f"kind = {shown(data['kind'])}: this is {name!r}")
         return {"kind": name} | data
+
+
+@cache
+def field_alone(section: type[Section], key: str) -> TypeAdapter[Any] | None:
+    """Return what validates a key of a section by itself; None if the section looks at several keys at once."""
+    said, fields = section.__pydantic_decorators__, section.model_fields
+    looked_at = {each for validator in said.field_validators.values() for each in validator.info.fields}
+    if not fields.keys().isdisjoint(looked_at) or not said.model_validators.keys() <= {OF_THIS_KIND}:
+        return None
+    return TypeAdapter(fields[key].rebuild_annotation(), config=ConfigDict(allow_inf_nan=False))
 
 
 class Absent(Section):

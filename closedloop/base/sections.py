@@ -10,9 +10,9 @@ key takes one of them, or its own; one that any number may be takes `Unit`:
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Any, get_args
+from typing import TYPE_CHECKING, Annotated, Any, Self, get_args
 
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, GetCoreSchemaHandler
 from pydantic.fields import FieldInfo
@@ -224,10 +224,23 @@ class Section(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
     def __eq__(self, other: object) -> bool:
-        """Whether it says the same: most that do hold equal values, which is found out at once."""
-        return (type(self) is type(other) and vars(self) == vars(other)) or super().__eq__(other)
+        """Whether it says the same: where nothing but the keys is held, their values tell, at once."""
+        if type(self) is type(other):
+            mine, others = vars(self), vars(other)
+            if mine == others or len(mine) == len(others) == len(type(self).__pydantic_fields__):
+                return mine == others
+        return super().__eq__(other)
 
     __hash__ = BaseModel.__hash__
+
+    def with_valid(self, values: Mapping[str, Any]) -> Self:
+        """Return a copy with other values, known to be valid: what `model_copy` does, in a fifth of its time."""
+        made, put = object.__new__(type(self)), object.__setattr__
+        put(made, "__dict__", {**self.__dict__, **values})
+        put(made, "__pydantic_fields_set__", self.__pydantic_fields_set__ | values.keys())
+        put(made, "__pydantic_extra__", self.__pydantic_extra__)
+        put(made, "__pydantic_private__", None)
+        return made
 
     if not TYPE_CHECKING:  # for which a section is frozen by its settings
 

@@ -101,7 +101,8 @@ def _is_per_joint(shape: tuple[Any, ...]) -> bool:
 
 def _values(section: Section) -> dict[str, Any]:
     """Return what a section says, by name: of what it leaves out, what `resolved` says, else NaN."""
-    resolved: dict[str, Any] = getattr(section, "resolved", dict)()
+    resolver = getattr(type(section), "resolved", None)  # on the class: a section looks every missing name up
+    resolved: dict[str, Any] = resolver(section) if resolver is not None else {}
     known, keys = parameter_block(type(section)).layout.shape, _keys(type(section))
     given = {name: resolved.get(keys[name], getattr(section, keys[name])) for name in known}
     return {name: math.nan if value is None else value for name, value in given.items()}
@@ -131,8 +132,10 @@ def pack(section: Section, n: int, where: str, joint_names: Sequence[str] = ()) 
     for name, begin, end, shape in kind.layout.places(n).values():
         value = values[name]
         if shape:
-            each = per_joint(f"{where}.{name}", value, n, joint_names) if _is_per_joint(counts[name]) else value
-            memory[begin:end].reshape(shape)[:] = each
+            each = _is_per_joint(counts[name])
+            if each and isinstance(value, tuple) and len(value) != n:
+                raise wrong_length(f"{where}.{name}", value, n, joint_names)
+            memory[begin:end].reshape(shape)[:] = value
         else:
             memory[begin] = value
     return memory
@@ -176,6 +179,11 @@ def per_joint(key: str, value: float | tuple[float, ...], n: int, joint_names: S
     if not isinstance(value, tuple):
         return np.full(n, float(value))
     if len(value) != n:
-        names = f", {', '.join(joint_names)}" if joint_names else ""
-        raise ScenarioError(f"{key} has {len(value)} entries: the robot has {n} joints{names}")
+        raise wrong_length(key, value, n, joint_names)
     return np.array(value)
+
+
+def wrong_length(key: str, value: tuple[float, ...], n: int, joint_names: Sequence[str]) -> ScenarioError:
+    """Return what is wrong with a list that has not one entry a joint."""
+    names = f", {', '.join(joint_names)}" if joint_names else ""
+    return ScenarioError(f"{key} has {len(value)} entries: the robot has {n} joints{names}")

@@ -27,6 +27,11 @@ from robot_models import RobotModel
 
 def package_versions() -> dict[str, str]:
     """Return the versions of Python and of the packages whose arithmetic a run depends on."""
+    return dict(_package_versions())
+
+
+@cache
+def _package_versions() -> dict[str, str]:
     names = ("closedloop", "pin", "numpy", "numba", "llvmlite")
     return {"python": sys.version.split()[0]} | {name: _version(name) for name in names}
 

@@ -31,6 +31,7 @@ from numpy.typing import NDArray
 
 from closedloop.base.arrays import Array
 from closedloop.base.errors import ScenarioError
+from closedloop.base.sections import Section
 from closedloop.control.drives import transmission_constants
 from closedloop.control.laws.hybrid import HybridLaw
 from closedloop.control.laws.impedance import ImpedanceLaw
@@ -511,15 +512,18 @@ def unresolved_feedback(scenario: Scenario, robot: Robot) -> list[str]:
     return lines
 
 
-def feedback_key(scenario: Scenario) -> Hashable:
-    """Return what `unresolved_feedback` depends on beside the robot: many runs of a batch have it in common."""
+def feedback_key(scenario: Scenario, text: Callable[[Section], Hashable]) -> Hashable:
+    """Return what `unresolved_feedback` depends on beside the robot: many runs of a batch have it in common.
+
+    `text` returns what tells sections apart.
+    """
     sections = (
         scenario.start, scenario.surface, scenario.surface_motion, scenario.tool, scenario.transmission,
         scenario.encoder, scenario.time,
     )  # fmt: skip
     return (
         type(scenario.law), scenario.law.model_dump_json(exclude={"force"}), getattr(scenario.reference, "start", None),
-        *(section.model_dump_json() for section in sections),
+        *map(text, sections),
     )  # fmt: skip
 
 

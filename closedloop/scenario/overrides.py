@@ -16,10 +16,10 @@ import numpy as np
 from pydantic import ValidationError
 
 from closedloop.base.errors import ScenarioError
-from closedloop.base.families import Absent
+from closedloop.base.families import Absent, field_alone
 from closedloop.base.sections import Section
 from closedloop.scenario.load import plain, scenario_of
-from closedloop.scenario.scenario import Scenario, StartSection, families
+from closedloop.scenario.scenario import Scenario, families
 from closedloop.scenario.tables import table_type
 
 # Where a run starts.
@@ -53,12 +53,7 @@ class Variants:
         changes = dict(zip(self.keys, values, strict=True))
         if self._alone and all(isinstance(value, NUMBERS) for value in values):
             with suppress(ValidationError, RecursionError):  # said below
-                said: dict[str, dict[str, Any]] = {}
-                for key, value in changes.items():
-                    section, _, name = key.partition(".")
-                    said.setdefault(section, dict(self._data[section]))[name] = plain(value)
-                new = {section: type(self._held[section]).model_validate(data) for section, data in said.items()}
-                return self.base.model_copy(update=new)
+                return self.base.with_valid(_sections_with(vars(self.base), changes))
         touched = {section: deepcopy(self._data[section]) for section in self._touched}
         try:  # the sections that no key is of are taken as they are: that they are valid is known
             return scenario_of(self._held | touched, self.base.name, changes)
@@ -93,13 +88,32 @@ class Variants:
         raise first
 
 
+def _sections_with(sections: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Section]:
+    """Return those of the sections that have other values of keys.
+
+    Raises
+    ------
+    ValidationError
+        If a value is wrong.
+    """
+    found: dict[str, Section] = {}
+    for key, value in changes.items():
+        name, _, field = key.partition(".")
+        section: Section = found.get(name, sections[name])
+        given, validator = value if isinstance(value, float) else plain(value), field_alone(type(section), field)
+        if validator is not None:
+            found[name] = section.with_valid({field: validator.validate_python(given)})
+        else:
+            held = {each: there for each, there in vars(section).items() if there is not None}
+            found[name] = type(section).model_validate({**held, field: given})
+    return found
+
+
 def replaced(scenario: Scenario, changes: Mapping[str, Any]) -> Scenario:
     """Return a scenario with other values of some keys; see `Scenario.replace`."""
     if changes.keys() <= START and all(isinstance(value, list | tuple | np.ndarray) for value in changes.values()):
-        given = {key.removeprefix("start."): np.asarray(value).tolist() for key, value in changes.items()}
         with suppress(ValidationError):  # said below, from all that was given
-            start = StartSection.model_validate(vars(scenario.start) | given)
-            return scenario.model_copy(update={"start": start})  # no other section depends on it
+            return scenario.with_valid(_sections_with(vars(scenario), changes))  # no other section depends on it
     return Variants(scenario, tuple(changes)).scenario(tuple(changes.values()))
 
 

@@ -15,6 +15,7 @@ from contextlib import contextmanager, redirect_stdout
 from functools import cache
 from importlib.machinery import ModuleSpec, PathFinder
 from importlib.util import find_spec
+from operator import attrgetter
 from typing import Any
 
 from closedloop.base.errors import ClosedLoopError, ScenarioError
@@ -154,7 +155,10 @@ def members_of_users(scenario: Scenario) -> dict[str, str]:
 
 
 def _picked(scenario: Scenario) -> Iterator[tuple[str, str]]:
-    for key, (section, *parts) in _parts_of_keys():
+    sure, nested = _keys_of_kinds()
+    yield from zip(sure, attrgetter(*sure)(scenario), strict=True)  # at once, as each call asks for them
+    for key in nested:
+        section, *parts = key.split(".")
         if (name := _at(getattr(scenario, section), parts)) is not None:
             yield key, str(name)
     for i, contact in enumerate(scenario.contact or ()):
@@ -169,8 +173,10 @@ def _at(found: Any, parts: Iterable[str]) -> Any:
 
 
 @cache
-def _parts_of_keys() -> tuple[tuple[str, list[str]], ...]:
-    return tuple((key, key.split(".")) for key in families())
+def _keys_of_kinds() -> tuple[list[str], list[str]]:
+    """Return the keys that pick a member: those of a section, and those of one in a section, which may be left out."""
+    keys = list(families())
+    return [key for key in keys if key.count(".") == 1], [key for key in keys if key.count(".") > 1]
 
 
 def member_digests(scenario: Scenario) -> dict[str, str]:

@@ -44,7 +44,7 @@ class Cache:
 
     Attributes
     ----------
-    given, whole : Parts
+    parts : (Parts, Parts) or None
         What is made of the scenario as it was given, and as its run has it.
     spare : dict
         What steps its loop, by engine, where no run uses it: `closedloop.simulation.loop_calls.Calls`.
@@ -57,7 +57,7 @@ class Cache:
         self._entries: OrderedDict[Hashable, tuple[Any, int]] = OrderedDict()
         self._bytes = 0
         self._texts: dict[int, tuple[Section, tuple[Hashable, ...]]] = {}  # by the identity of what is kept
-        self.given, self.whole = Parts(), Parts()
+        self.parts: tuple[Parts, Parts] | None = None
         self.spare: dict[str, Any] = {}
         self.last: tuple[Scenario, Problem] | None = None
 
@@ -94,7 +94,7 @@ class Cache:
     def clear(self) -> None:
         """Remove all entries of this thread; those shared with others stay."""
         self._entries.clear()
-        self.given, self.whole = Parts(), Parts()
+        self.parts = None
         self._bytes, self.last = 0, None
 
     def get_shared(self, key: Hashable, make: Callable[[], T], size: Callable[[T], int]) -> T:

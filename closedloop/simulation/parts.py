@@ -1,52 +1,93 @@
 """What is made of a scenario, part by part, and of which of its sections: so that it is made again where these change.
 
-What reads a scenario, or a problem, is given one that notes what is read of it. So nothing that it depends on can be
-forgotten.
+What reads a scenario, parts, or a problem, is given one that notes what is read of it. So nothing that it depends on
+can be forgotten.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Mapping
-from operator import is_
-from typing import Any, NamedTuple, TypeVar, cast
+from collections.abc import Callable, Hashable, Mapping, Sequence
+from itertools import compress
+from operator import is_not, itemgetter
+from typing import Any, TypeVar
+
+import numpy as np
 
 from closedloop.base.sections import Section
 from closedloop.scenario.scenario import Scenario
 
 T = TypeVar("T")
+# What makes a part of a scenario, and of parts before it.
+Maker = Callable[[Any, Any], Any]
 
 NOTHING = object()
 SECTIONS = dict(Scenario.model_fields)  # looking up that attribute takes longer than reading a section
+sections_of = itemgetter(*SECTIONS)
 
 
 class Watched:
-    """A scenario that notes which of its sections are read, by what it is given to."""
+    """A scenario that notes which of its sections are read, by what it is given to.
 
-    def __init__(self, scenario: Scenario) -> None:
-        self._scenario = scenario
-        self.read: dict[str, Any] = {}
+    Parameters
+    ----------
+    scenario : Scenario
+    readers : mapping
+        By section, who has read it.
+    who : int
+        Who it is given to.
+    """
+
+    def __init__(self, scenario: Scenario, readers: Mapping[str, set[int]], who: int) -> None:
+        self.unwatched, self._readers, self._who = scenario, readers, who
 
     def __getattr__(self, name: str) -> Any:
-        if name in SECTIONS:
-            part = self.read[name] = getattr(self._scenario, name)
-            return part
-        return getattr(Scenario, name).__get__(self)  # a property, or a method, which reads sections too
+        readers = self._readers.get(name)
+        if readers is None:
+            return getattr(Scenario, name).__get__(self)  # a property, or a method, which reads sections too
+        readers.add(self._who)
+        part = self.__dict__[name] = self.unwatched.__dict__[name]  # where it is found from now on
+        return part
 
     def model_copy(self, *, update: Mapping[str, Any]) -> Scenario:
         """Return a changed copy of the scenario, which depends on all of it."""
-        self.read.update(vars(self._scenario))
-        return self._scenario.model_copy(update=update)
+        for readers in self._readers.values():
+            readers.add(self._who)
+        return self.unwatched.model_copy(update=update)
+
+
+class Made:
+    """Parts that are made, of which it notes which are read; the parameters are as of `Watched`."""
+
+    def __init__(self, parts: dict[str, Any], readers: Mapping[str, set[int]], who: int) -> None:
+        self._parts, self._readers, self._who = parts, readers, who
+
+    def __getattr__(self, name: str) -> Any:
+        self._readers[name].add(self._who)
+        part = self.__dict__[name] = self._parts[name]
+        return part
+
+    def unnoted(self, name: str) -> Any:
+        """Return a part without noting it."""
+        return self._parts[name]
 
 
 class Asked:
     """A problem that notes what is read of it, and of its scenario."""
 
     def __init__(self, problem: Any) -> None:
-        self._problem, self._read, self.scenario = problem, dict[str, Any](), Watched(problem.scenario)
+        self._problem, self._read = problem, dict[str, Any]()
+        self._readers: dict[str, set[int]] = {name: set() for name in SECTIONS}
+        self.scenario = Watched(problem.scenario, self._readers, 0)
 
     def __getattr__(self, name: str) -> Any:
         part = self._read[name] = getattr(self._problem, name)
         return part
+
+    def end(self) -> None:
+        """Let the problem go."""
+        scenario = vars(self._problem.scenario)
+        self._sections = {name: scenario[name] for name, readers in self._readers.items() if readers}
+        del self._problem, self.scenario, self._readers
 
     def stands_for(self, problem: Any) -> bool:
         """Whether another problem says the same to all that was read."""
@@ -54,7 +95,7 @@ class Asked:
             if (now := getattr(problem, name)) is not part and not alike(part, now):
                 return False
         sections = vars(problem.scenario)
-        for name, part in self.scenario.read.items():
+        for name, part in self._sections.items():
             if (now := sections[name]) is not part and not alike(part, now):
                 return False
         return True
@@ -64,72 +105,71 @@ def asking(problem: Any, make: Callable[..., T], *others: Any) -> tuple[T, Asked
     """Return what is made of a problem and of others, and what was read of the problem, which is not kept."""
     asked = Asked(problem)
     made = make(asked, *others)
-    asked._problem = None
+    asked.end()
     return made, asked
 
 
-class Part(NamedTuple):
-    """What was made, of which other objects, and of which sections."""
-
-    made: Any
-    others: tuple[Any, ...]
-    read: set[str]
-
-
 class Parts:
-    """What is made of a scenario, part by part: a part is made anew where a section that it has read says other things.
+    """What is made of a scenario, part by part: a part is made anew where what it was made of says other things.
 
     So a key of the scenario that changes becomes a change of the parts that follow from it, and all others are taken
     over: by a batch's next run, by a prepared problem with other values or from another start, by the next episode.
+
+    Parameters
+    ----------
+    makers : mapping
+        By the name of each part, in order, what makes it, of a scenario and of parts before it.
+    given : sequence of str
+        The names of parts that are given, see `turn_to`.
     """
 
-    def __init__(self) -> None:
-        self._parts: dict[str, Part] = {}
-        self._stale: set[str] = set()  # parts that are to be made anew
-        self._within: list[set[str]] = []  # of the parts that are being made, one within another: sections they read
-        self._readers: dict[str, set[str]] = {}  # by section: which parts have read it
-        self._sections: dict[str, Any] = {}
-        self._scenario: Any = None
+    def __init__(self, makers: Mapping[str, Maker], given: Sequence[str]) -> None:
+        self._makers = tuple(makers.items())
+        self._made: dict[str, Any] = dict.fromkeys((*makers, *given), NOTHING)
+        self._stale = set(range(len(makers)))  # which of all parts are to be made anew
+        # By section and by part: which parts have read it.
+        self._of_section: dict[str, set[int]] = {name: set() for name in SECTIONS}
+        self._of_part: dict[str, set[int]] = {name: set() for name in self._made}
+        self._sections: tuple[Any, ...] = (NOTHING,) * len(SECTIONS)
 
-    def turn_to(self, scenario: Scenario) -> None:
-        """Go to another scenario: what is made of sections that say other things there is to be made anew."""
-        known, self._scenario = self._sections, scenario
-        for name, section in vars(scenario).items():
-            if (before := known.get(name, NOTHING)) is not section:
-                known[name] = section
-                if before is not NOTHING and not alike(before, section):
-                    self._stale |= self._readers.get(name, set())
+    def forget(self, name: str) -> None:
+        """Have a part made anew next time."""
+        self._stale.add(list(self._made).index(name))
 
-    def follow(self, name: str, make: Callable[[Any], T], *others: Any) -> T:
-        """Return what is made of the scenario and of others: as it was, where both are as they were.
+    def turn_to(self, scenario: Scenario, **given: Any) -> dict[str, Any]:
+        """Make of another scenario all that is made of sections, or of parts, that say other things there.
 
-        The others must be the same objects. So a part that comes out as it was is the same object. A part may be made
-        of parts that are followed: it has then read what they have.
+        A part that comes out as it was is the same object, and what was made of it stays. All parts are returned, until
+        the next call. What a maker raises is raised; the next call goes on from there.
         """
-        found = self._parts.get(name)
-        if found is None or name in self._stale or not all(map(is_, others, found.others)):
-            watched, own = Watched(self._scenario), set[str]()
-            self._within.append(own)
-            try:
-                new = make(watched)
-            finally:
-                self._within.pop()
-            own.update(watched.read)
-            for section in own if found is None else own - found.read:
-                self._readers.setdefault(section, set()).add(name)
-            found = Part(found.made if found and alike(new, found.made) else new, others, own)
-            self._parts[name] = found
-            self._stale.discard(name)
-        if self._within:
-            self._within[-1].update(found.read)
-        return cast(T, found.made)
+        made, stale = self._made, self._stale
+        for name, part in given.items():
+            self._put(name, part)
+        before, self._sections = self._sections, sections_of(vars(scenario))
+        for name, one, other in compress(
+            zip(SECTIONS, before, self._sections, strict=True), map(is_not, before, self._sections)
+        ):
+            if not alike(one, other):
+                stale |= self._of_section[name]
+        while stale:
+            k = min(stale)
+            name, make = self._makers[k]
+            new = make(Watched(scenario, self._of_section, k), Made(made, self._of_part, k))
+            stale.discard(k)
+            self._put(name, new)
+        return made
+
+    def _put(self, name: str, part: Any) -> None:
+        if part is not (before := self._made[name]) and not alike(part, before):
+            self._made[name] = part
+            self._stale |= self._of_part[name]
 
 
 def alike(one: Any, other: Any) -> bool:
     """Whether two objects are the same, or words, numbers and sections, alone or in tuples, that are so to the bit."""
     if one is other:
         return True
-    if type(one) is not type(other):
+    if type(one) is not type(other) or type(one) is np.ndarray:
         return False
     if isinstance(one, Section):
         return vars(one) == vars(other) and text_of(one) == text_of(other)  # 0 is equal to −0, and its text is not

@@ -5,9 +5,10 @@ Where the tip is to the surface at the start: on it, off it, or refused.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Iterator
+from collections.abc import Hashable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
+from operator import itemgetter
 from threading import get_ident
 from typing import Any
 
@@ -25,6 +26,7 @@ from closedloop.control.reference.force import force_at
 from closedloop.control.reference.on_surface import edge_key
 from closedloop.control.reference.orientation import refuse_narrow
 from closedloop.control.reference.table import DrawnRow, Reference, TableRow
+from closedloop.control.reference.tip_path import TipPath
 from closedloop.control.sensor import check_steps, draws, encoder_draws, pack_sensor
 from closedloop.control.stability import check_sampling
 from closedloop.jit.parameters import lists_per_joint, pack
@@ -40,6 +42,7 @@ from closedloop.mechanics.surface.kinds.none import NoSurface
 from closedloop.mechanics.surface.kinds.plane import PlaneSurface
 from closedloop.mechanics.surface.placed import PlacedSurface, Touching, unit
 from closedloop.mechanics.surface.surface import Surface, largest_mobility
+from closedloop.record.columns.derived import StatesOf
 from closedloop.scenario.arm import (
     acting_tendons,
     beside_bodies,
@@ -56,7 +59,7 @@ from closedloop.scenario.collision import with_collision_shapes
 from closedloop.scenario.modes import check_transmission
 from closedloop.scenario.robot_sections import NO_ROBOT
 from closedloop.scenario.scenario import Scenario
-from closedloop.scenario.user_module import member_digests, members_of_users
+from closedloop.scenario.user_module import member_digests
 from closedloop.simulation.all_entries import with_all_entries
 from closedloop.simulation.cache import Cache
 from closedloop.simulation.engines.bind_contacts import contact_rows, placed_contacts
@@ -65,13 +68,17 @@ from closedloop.simulation.engines.scenario_numbers import (
     Layout,
     PackedLaw,
     Shape,
+    calls_any_law,
+    entries_of,
+    is_no_papers_law,
     pack_compliance,
     pack_friction,
     pack_law,
+    settings_of,
 )
 from closedloop.simulation.engines.start_memory import STICK_SPEED
 from closedloop.simulation.loop_calls import have_compiled
-from closedloop.simulation.parts import Watched
+from closedloop.simulation.parts import Made, Maker, Parts, Watched
 from closedloop.simulation.time_step import check_stiffness, integrator_of, stabiliser_gains, steps_and_hold
 from robot_models import RobotModel
 from robot_models.bodies import only_bodies
@@ -116,11 +123,11 @@ def refuse_combinations(scenario: Scenario, model: RobotModel) -> None:
 
 
 def placed_surface(
-    scenario: Scenario, robot: Robot, q: Array, v: Array, there: PlacedSurface
+    scenario: Scenario, robot: Robot, q: Array, v: Array, there: PlacedSurface, fixed_step: bool = True
 ) -> tuple[PlacedSurface, Touching, int]:
     """Return the surface, how the tip is to it at the start, and what it does on it.
 
-    `there` is the same surface for a tip somewhere.
+    `there` is the same surface for a tip somewhere. With a `fixed_step` it must not be too stiff for that.
     """
     section = scenario.surface
     (tip, jacobian), depth = robot.known_tip(robot.pinocchios(q)), 0.0
@@ -147,6 +154,8 @@ def placed_surface(
         if now.inside >= 0.0 and (thrown := scenario.compliance.thrown_out(-gap, mobility)):
             given, at_most, _ = _where_given(section, surface, tip)
             raise ScenarioError(f"{given}: the tip starts {-gap:.4g} m inside the surface{thrown}: {at_most}")
+        if fixed_step:
+            check_stiffness(scenario, mobility, now.gap)
         return surface, now, PRESSED if section.contact == "bilateral" or gap <= TOUCHING else FREE
     if section.contact == "bilateral":
         if abs(gap) > START_GAP:
@@ -303,136 +312,225 @@ def borrowed(problem: Problem) -> Iterator[Cache]:
 def problem_of(scenario: Scenario, model: RobotModel | None, cache: Cache, kept: bool = True) -> Problem:
     """Do as `prepare`, with arguments of the right types; path and table are not `kept` for others, if so told.
 
-    Every part of it is followed, see `closedloop.simulation.cache.Parts`: made anew where what it depends on is other.
+    Every part of it is followed, see `closedloop.simulation.parts`: made anew where what it depends on is other.
     """
     if cache.last is not None and cache.last[0] is scenario:
         return cache.last[1]
-    cache.last, first = None, cache.given
-    first.turn_to(scenario)
-    digests = first.follow("digests", member_digests) if members_of_users(scenario) else {}
-    bare: RobotModel = first.follow("model", lambda s: _model(s, cache)) if model is None else model
-    robot: Robot = first.follow("robot", lambda s: _robot(s, bare, cache), bare)
-    arm: Any = first.follow("arm", lambda s: robot.model.without_tools, robot)
-    done = first.follow("completed", lambda s: _completed(s, robot.model), arm)
-    given, scenario = scenario, scenario if done is None else done
-    cache.whole.turn_to(scenario)
-    follow = cache.whole.follow
-    follow("start", lambda s: start_state(s, robot.model), arm)  # what is wrong with it is said first
-    numbers = follow("settled", lambda s: _settled(scenario, robot, arm, cache), robot, arm)
-    problem = Problem.of({
-        **numbers, **_started(scenario, numbers, arm, cache, kept), "scenario": scenario, "member_digests": digests,
-        "bare": bare, "model_given": model, "spare": cache.spare,
-    })  # fmt: skip
-    cache.last = (given, problem) if kept else None
+    cache.last = None
+    if cache.parts is None:
+        cache.parts = Parts(OF_GIVEN, ("cache", "model_given")), Parts(OF_WHOLE, ("cache", "kept", "robot", "arm"))
+    first, whole = cache.parts
+    given = first.turn_to(scenario, cache=cache, model_given=model)
+    completed = scenario if given["completed"] is None else given["completed"]
+    made = whole.turn_to(completed, cache=cache, kept=kept, robot=given["robot"], arm=given["arm"])
+    if not kept:
+        whole.forget("table")  # which is the problem's own
+    numbers = dict(zip(NUMBERS, _numbers_of(made), strict=True))
+    (numbers["integrator"], numbers["tolerance"]), (numbers["steps"], numbers["hold"]) = made["scheme"], made["count"]
+    (numbers["q"], numbers["v"]), (numbers["surface"], now, _, numbers["believed"]) = made["start"], made["place"]
+    numbers |= {
+        "frame": now.frame, "nodes": numbers["integrator"].parts, "scenario": completed, "bare": given["bare"],
+        "member_digests": given["member_digests"], "model_given": model, "spare": cache.spare,
+    }  # fmt: skip
+    problem = Problem.of(numbers)
+    cache.last = (scenario, problem) if kept else None
     return problem
 
 
-def _completed(scenario: Any, model: RobotModel) -> Scenario | None:
+def _model_of(of: Made) -> RobotModel:
+    """Return the robot's model for what does not depend on the masses of its tools."""
+    _ = of.arm
+    model: RobotModel = of.unnoted("robot").model
+    return model
+
+
+def _completed(s: Any, of: Made) -> Scenario | None:
     """Return the scenario as its run has it, None if that is as it is given."""
-    found = completed(scenario, model)
+    found = completed(s, _model_of(of))
     return None if isinstance(found, Watched) else found
 
 
-def _settled(scenario: Scenario, robot: Robot, arm: Any, cache: Cache) -> dict[str, Any]:
-    """Check what does not depend on where a run starts, and return it as numbers."""
-    follow, model, n = cache.whole.follow, robot.model, robot.n  # none of these depends on masses of tools
-    follow("lengths", lambda s: _refuse(_wrong_lengths(s, model)), arm)
-    follow("combinations", lambda s: refuse_combinations(s, model), arm)
-    joint_friction = follow("friction of joints", lambda s: joint_friction_of(s, model), arm)
-    integrator, tolerance = follow("integrator", lambda s: integrator_of(s, joint_friction), joint_friction)
-    follow("load friction", lambda s: _refuse_load_friction(s, joint_friction), joint_friction)
-    layout, period = (
-        follow("layout", lambda s: Layout.of(s, model), arm),
-        follow("period", lambda s: s.law.sample_period),
-    )
-    steps, hold = follow("steps", lambda s: steps_and_hold(s, period, layout.row_width), period, layout)
-    compensation = follow("believed compensation", _believed_compensation)
-    follow("sampling", lambda s: _check_compensation(s, compensation), compensation)
-    follow("compiled", lambda s: have_compiled(scenario, model), arm, layout)
-    return {
-        "robot": robot, "integrator": integrator, "tolerance": tolerance,
-        "h": follow("step", lambda s: s.time.step), "steps": steps, "hold": hold, "nodes": integrator.parts,
-        "layout": layout,
-        "friction": follow("friction", lambda s: pack_friction(s.friction, n), arm),
-        "compensation": follow(
-            "compensation", lambda s: pack_law(compensation, n, model.joint_names), arm, compensation
-        ),
-        "joint_friction": follow(
-            "joint_friction", lambda s: pack_friction(joint_friction, n, joints=True), arm, joint_friction
-        ),
-        "compliance": follow("compliance", lambda s: pack_compliance(s.compliance, n), arm),
-        "sensor": follow("sensor", lambda s: pack_sensor(s.sensor, s.time.step)),
-        "encoder": follow("encoder", lambda s: _encoder(s, model), arm),
-        "transmission": follow("transmission", lambda s: transmission_constants(s.transmission, model), arm),
-        "drives": follow("drives", lambda s: np.stack(
-            [torque_limits(s.drives, model), torque_steps(s.drives, model, period)]
-        ), arm, period),
-        "stabiliser": follow("stabiliser", lambda s: np.array(stabiliser_gains(s))),
-        "project": follow("project", lambda s: s.stabiliser.kind in ("projection", "both") and _is_rigid(s)),
-        "tendons": follow("tendons", lambda s: acting_tendons(s, model), arm),
-        "stops": follow("stops", lambda s: stop_limits(s, model), arm),
-        "ends": follow("ends", lambda s: tuple(robot.tree.ends.tolist()), robot), "has_loops": bool(model.loops),
-    }  # fmt: skip
+# What is made of a scenario as it is given.
+OF_GIVEN: dict[str, Maker] = {
+    "member_digests": lambda s, of: member_digests(s),
+    "bare": lambda s, of: _model(s, of.cache) if of.model_given is None else of.model_given,
+    "robot": lambda s, of: _robot(s, of.bare, of.cache),
+    "arm": lambda s, of: of.robot.model.without_tools,
+    "completed": _completed,
+}
 
 
-def _started(scenario: Scenario, of: dict[str, Any], arm: Any, cache: Cache, kept: bool) -> dict[str, Any]:
-    """Return what depends on where a run starts: the other numbers of the `Problem`."""
-    follow, robot, friction = cache.whole.follow, of["robot"], of["friction"]
-    model = robot.model
-    q, v = follow("start", lambda s: start_state(s, model), arm)
-    if model.loops:
-        q, v = follow(
-            "closed start", lambda s: closed_start(robot, q, v, s.start.assemble or s.start.q is None), robot, q, v
-        )
-    there = follow("surface", lambda s: PlacedSurface.of(s.surface, s.surface_motion, ORIGIN, 0.0, s.tool.radius))
-    following = follow if kept else _made_of(scenario)
-    place = following("place", lambda s: _placed(s, robot, q, v, there, of["tolerance"]), robot, q, v, there, arm)
-    surface, now, mode, believed = place
-    on = follow("contact rows", lambda s: contact_rows(s, robot) if s.contact or has_stops(s, model) else None, robot)
-    placed = None if on is None else follow("contacts", lambda s: placed_contacts(s, robot, on, q), robot, on, q)
-    taken = surface if believed is None else believed
-    with of_users(scenario.reference, "reference.kind"):  # its curves are evaluated in there
-        wanted, table = _reference(of, taken, q, cache, kept, following)
-    start = follow("pd_start", lambda s: _pd_start(s, wanted), wanted.tip)
-    law = follow("law", lambda s: _packed_law(s, start, model), start, arm)
-    if mode == PRESSED and friction.member.sticks != "elastic":
-        u = now.frame @ robot.known_tip(robot.pinocchios(q))[1] @ v - now.carried
-        mode = STUCK if np.hypot(u[1], u[2]) <= STICK_SPEED else PRESSED
-    called = [of[name] for name in ("compensation", "friction", "joint_friction", "compliance", "sensor", "tendons")]
-    return {
-        "shape": follow("shape", lambda s: Shape.of(law, *called), law, *called),
-        "surface": surface, "believed": believed, "frame": now.frame, "q": q, "v": v,
-        "mode": mode, "table": table, "wanted": wanted, "pd_start": start, "placed": placed, "law": law,
-        "there": there,
-    }  # fmt: skip
+def _compiling(s: Any, of: Made) -> None:
+    """Have compiled what a run will want; which numbers it has does not matter."""
+    _ = of.layout
+    have_compiled(s.unwatched, _model_of(of))
+
+
+def _instants(s: Any, of: Made) -> Array:
+    """Return the instants of the rows of the table of what is desired, s."""
+    nodes, (steps, _) = of.scheme[0].parts, of.count
+    return (s.time.step / nodes) * np.arange(steps * nodes + 1, dtype=np.float64)
+
+
+def _drawn(s: Any, of: Made) -> tuple[bool, bool]:
+    """Return whether sensors of force, and those of joints, draw numbers."""
+    return s.sensor.noise > 0.0 or s.sensor.jitter > 0.0, s.reads_encoders
+
+
+def _closed(s: Any, of: Made) -> tuple[Array, Array]:
+    """Return q and q̇ at the start, with the loops of the mechanism closed."""
+    q, v = of.asked
+    return closed_start(of.robot, q, v, s.start.assemble or s.start.q is None) if _model_of(of).loops else (q, v)
+
+
+def _path(s: Any, of: Made) -> tuple[Motion, tuple[Hashable, ...] | None]:
+    """Return the desired motion on the surface that the controller believes in, and its key, if it is kept."""
+    true, _, _, believed = of.place
+    surface, robot, q = true if believed is None else believed, of.robot, of.start[0]
+    tool = unit(s.tool.axis, "tool.axis"), s.tool.radius
+    duration = 0.0 if surface.fixed_plane else s.time.duration * BEYOND
+
+    def found() -> Motion:
+        return desired(s.reference, robot, surface, q, duration, *tool)
+
+    with of_users(s.reference, "reference.kind"):
+        if not of.kept:
+            return found(), None
+        key = of.cache.texts(s, of=("robot", "tool", "reference")), q.tobytes(), _path_key(s, surface)
+        return of.cache.get_shared(("desired", *key), found, lambda made: 3 * made.joints.q.nbytes), key
+
+
+def _table(s: Any, of: Made) -> Array:
+    """Return the table of what is desired, with what sensors draw behind each row; the force is not written yet."""
+    (motion, key), instants, (noisy, reads), n = of.path, of.instants, of.drawn, of.robot.n
+    spare = (DrawnRow if reads else TableRow).count(n) - Reference.count(n)
+    with of_users(s.reference, "reference.kind"):  # its curves are evaluated in there
+        if key is None:
+            return motion.table(instants, spare=spare)
+        table: Array = of.cache.get(
+            ("table", *key, instants.size, float(instants[1]), spare, noisy),
+            lambda: motion.table(instants, spare=spare), lambda table: table.nbytes,
+        )  # fmt: skip
+        return table
+
+
+def _draws(s: Any, of: Made) -> None:
+    """Write what sensors draw into the table; where they draw nothing it has the zeros that it was made with."""
+    (noisy, reads), table, n, steps, nodes = of.drawn, of.table, of.robot.n, of.count[0], of.scheme[0].parts
+    if noisy:
+        table[::nodes, TableRow.place("sensor", n)] = draws(s.sensor, steps + 1)
+    if reads:
+        table[::nodes, DrawnRow.place("draws", n)] = encoder_draws(s.encoder, steps + 1, n)
+
+
+def _wanted(s: Any, of: Made) -> Desired:
+    """Return what is desired, and write the force into the table."""
+    motion = of.path[0]
+    of.table[:, Reference.place("force", of.robot.n)] = of.forces
+    return Desired(motion.tip, motion.joints, s.force_profile, s.law.force)
+
+
+def _mode(s: Any, of: Made) -> int:
+    """Return the contact mode at the start: a tip that rests on a surface with dry friction sticks."""
+    (_, now, mode, _), (q, v), robot = of.place, of.start, of.robot
+    if mode != PRESSED or of.friction.member.sticks == "elastic":
+        return int(mode)
+    u = now.frame @ robot.known_tip(robot.pinocchios(q))[1] @ v - now.carried
+    return STUCK if np.hypot(u[1], u[2]) <= STICK_SPEED else PRESSED
+
+
+# What is made of a scenario as its run has it. First what is wrong with where it starts is said.
+OF_WHOLE: dict[str, Maker] = {
+    "asked": lambda s, of: start_state(s, _model_of(of)),
+    "lengths": lambda s, of: _refuse(_wrong_lengths(s, _model_of(of))),
+    "combinations": lambda s, of: refuse_combinations(s, _model_of(of)),
+    "joint_law": lambda s, of: joint_friction_of(s, _model_of(of)),
+    "scheme": lambda s, of: integrator_of(s, of.joint_law),
+    "load_friction": lambda s, of: _refuse_load_friction(s, of.joint_law),
+    "states": lambda s, of: StatesOf.of(s, _model_of(of).n),
+    "plain": lambda s, of: not calls_any_law(s, _model_of(of)),
+    "general": lambda s, of: not of.plain or is_no_papers_law(s.law),
+    "entries": lambda s, of: tuple(entries_of(s, _model_of(of), of.general, of.joint_law).items()),
+    "settings": lambda s, of: tuple(settings_of(s, _model_of(of)).items()),
+    "layout": lambda s, of: Layout.joined(s, of.states, of.general, of.entries, of.settings),
+    "period": lambda s, of: s.law.sample_period,
+    "count": lambda s, of: steps_and_hold(s, of.period, of.layout.row_width),
+    "believed_law": lambda s, of: _believed_compensation(s),
+    "sampling": lambda s, of: _check_compensation(s, of.believed_law),
+    "compiling": _compiling,
+    "h": lambda s, of: s.time.step,
+    "friction": lambda s, of: pack_friction(s.friction, _model_of(of).n),
+    "compensation": lambda s, of: pack_law(of.believed_law, _model_of(of).n, _model_of(of).joint_names),
+    "joint_friction": lambda s, of: pack_friction(of.joint_law, _model_of(of).n, joints=True),
+    "compliance": lambda s, of: pack_compliance(s.compliance, _model_of(of).n),
+    "sensor": lambda s, of: pack_sensor(s.sensor, s.time.step),
+    "encoder": lambda s, of: _encoder(s, _model_of(of)),
+    "transmission": lambda s, of: transmission_constants(s.transmission, _model_of(of)),
+    "drives": lambda s, of: np.stack(
+        [torque_limits(s.drives, _model_of(of)), torque_steps(s.drives, _model_of(of), of.period)]
+    ),
+    "stabiliser": lambda s, of: np.array(stabiliser_gains(s)),
+    "project": lambda s, of: s.stabiliser.kind in ("projection", "both") and _is_rigid(s),
+    "tendons": lambda s, of: acting_tendons(s, _model_of(of)),
+    "stops": lambda s, of: stop_limits(s, _model_of(of)),
+    "ends": lambda s, of: tuple(of.robot.tree.ends.tolist()),
+    "has_loops": lambda s, of: bool(_model_of(of).loops),
+    "start": _closed,
+    "there": lambda s, of: PlacedSurface.of(s.surface, s.surface_motion, ORIGIN, 0.0, s.tool.radius),
+    "place": lambda s, of: _placed(s, of.robot, of.start, of.there, of.scheme[1]),
+    "contact_rows": lambda s, of: contact_rows(s, of.robot) if s.contact or has_stops(s, _model_of(of)) else None,
+    "placed": lambda s, of: None if of.contact_rows is None else placed_contacts(
+        s, of.robot, of.contact_rows, of.start[0]
+    ),
+    "drawn": _drawn,
+    "instants": _instants,
+    "forces": lambda s, of: force_at(s.force_profile, s.law.force, of.instants),  # refused before a path is found
+    "path": _path,
+    "table": _table,
+    "draws": _draws,
+    "wanted": _wanted,
+    "pd_start": lambda s, of: _pd_start(s, of.path[0].tip),
+    "law": lambda s, of: _packed_law(s, of.pd_start, _model_of(of)),
+    "mode": _mode,
+    "shape": lambda s, of: Shape.of(
+        of.law, of.compensation, of.friction, of.joint_friction, of.compliance, of.sensor, of.tendons
+    ),
+}  # fmt: skip
+
+# Those of these that are numbers of the problem as they are.
+NUMBERS = (
+    "robot", "h", "layout", "friction", "compensation", "joint_friction", "compliance", "sensor", "encoder",
+    "transmission", "drives", "stabiliser", "project", "tendons", "stops", "ends", "has_loops", "there", "placed",
+    "table", "wanted", "pd_start", "law", "mode", "shape",
+)  # fmt: skip
+_numbers_of = itemgetter(*NUMBERS)
 
 
 def _placed(
-    scenario: Scenario, robot: Robot, q: Array, v: Array, there: PlacedSurface, tolerance: float | None
+    scenario: Scenario, robot: Robot, start: tuple[Array, Array], there: PlacedSurface, tolerance: float | None
 ) -> tuple[PlacedSurface, Touching, int, PlacedSurface | None]:
     """Return what `placed_surface` does, and the surface that the controller believes in; refuse one too stiff."""
-    surface, now, mode = placed_surface(scenario, robot, q, v, there)
+    q, v = start
+    surface, now, mode = placed_surface(scenario, robot, q, v, there, tolerance is None)
     check_rates(surface, scenario.time.duration)
     believed = believed_surface(scenario, robot, surface, q)
-    if not isinstance(scenario.compliance, Rigid) and tolerance is None:
-        check_stiffness(scenario, robot, q, now)
     if scenario.transmission.elastic:
         check_transmission(scenario, robot, q)
     return surface, now, mode, believed
 
 
-def _pd_start(scenario: Scenario, wanted: Desired) -> float:
+def _pd_start(scenario: Scenario, tip: TipPath) -> float:
     """Return the instant, s, from which the PD part of the law acts: of the path, if the law says none."""
     given = getattr(scenario.law, "pd_start", None)
     h = scenario.time.step
-    start: float = (wanted.tip.start if given is None else given) - 1e-9 * h  # i·h and 0.5 may differ by rounding
+    start: float = (tip.start if given is None else given) - 1e-9 * h  # i·h and 0.5 may differ by rounding
     return start
 
 
 def _packed_law(scenario: Scenario, start: float, model: RobotModel) -> PackedLaw:
     """Return the control law as numbers, its PD part acting from an instant on, s."""
     law = scenario.law
-    law = law.model_copy(update={"pd_start": start}) if isinstance(law, PaperLaw) else law
+    law = law.with_valid({"pd_start": start}) if isinstance(law, PaperLaw) else law
     return pack_law(law, model.n, model.joint_names)
 
 
@@ -519,67 +617,6 @@ def _believed_compensation(scenario: Scenario) -> Compensation:
 
 # A path on a surface that moves goes on this much longer than the run, so that its last row is no end of it.
 BEYOND = 1.001
-
-
-def _made_of(scenario: Scenario) -> Callable[..., Any]:
-    """Return what makes parts as `Parts.follow` does, but for keeping them: of a start that none follows."""
-    return lambda name, make, *others: make(scenario)
-
-
-def _reference(
-    of: dict[str, Any], surface: PlacedSurface, q: Array, cache: Cache, kept: bool, following: Callable[..., Any]
-) -> tuple[Desired, Array]:
-    """Return what is desired on a surface, and the table of it, with what sensors draw behind each row."""
-    follow, robot, steps, nodes = cache.whole.follow, of["robot"], of["steps"], of["nodes"]
-    n = robot.n
-
-    def beside(s: Any) -> tuple[bool, bool, Array]:
-        force_at(s.force_profile, s.law.force, np.zeros(1))  # a profile at fault is refused before its path is found
-        instants = follow(
-            "instants", lambda t: (t.time.step / nodes) * np.arange(steps * nodes + 1, dtype=np.float64), nodes, steps
-        )
-        return s.sensor.noise > 0.0 or s.sensor.jitter > 0.0, s.reads_encoders, instants
-
-    drawn, reads, instants = follow("beside the path", beside, nodes, steps)
-
-    def path(s: Any) -> tuple[Motion, tuple[Hashable, ...] | None]:
-        tool = unit(s.tool.axis, "tool.axis"), s.tool.radius
-        duration = 0.0 if surface.fixed_plane else s.time.duration * BEYOND
-
-        def found() -> Motion:
-            return desired(s.reference, robot, surface, q, duration, *tool)
-
-        if not kept:
-            return found(), None
-        key = cache.texts(s, of=("robot", "tool", "reference")), q.tobytes(), _path_key(s, surface)
-        return cache.get_shared(("desired", *key), found, lambda made: 3 * made.joints.q.nbytes), key
-
-    motion, key = following("path", path, robot, surface, q)
-
-    def made(s: Any) -> Array:
-        spare = (DrawnRow if reads else TableRow).count(n) - Reference.count(n)
-        if key is None:
-            return motion.table(instants, spare=spare)
-        step = float(instants[1])
-        return cache.get(
-            ("table", *key, instants.size, step, spare, drawn), lambda: motion.table(instants, spare=spare),
-            lambda table: table.nbytes,
-        )  # fmt: skip
-
-    def force(s: Any) -> Desired:
-        table[:, Reference.place("force", n)] = force_at(s.force_profile, s.law.force, instants)
-        return Desired(motion.tip, motion.joints, s.force_profile, s.law.force)
-
-    def draw(s: Any) -> None:
-        if drawn:  # else its columns have the zeros that they were made with
-            table[::nodes, TableRow.place("sensor", n)] = draws(s.sensor, steps + 1)
-        if reads:
-            table[::nodes, DrawnRow.place("draws", n)] = encoder_draws(s.encoder, steps + 1, n)
-
-    table = following("table", made, motion, instants, drawn, reads)
-    following("draws", draw, table)
-    wanted: Desired = following("force", force, motion, table)
-    return wanted, table
 
 
 def _path_key(scenario: Scenario, surface: PlacedSurface) -> Hashable:

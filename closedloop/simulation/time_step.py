@@ -6,7 +6,6 @@ import math
 
 import numpy as np
 
-from closedloop.base.arrays import Array
 from closedloop.base.errors import ScenarioError
 from closedloop.control.sensor import NO_ENCODER, encoder_kind
 from closedloop.mechanics.closure.baumgarte import baumgarte_gains, is_stable, largest_stable_ratio, recommended_ratio
@@ -16,10 +15,7 @@ from closedloop.mechanics.friction.law import JOINT_LAWS, SURFACE_LAWS, JointFri
 from closedloop.mechanics.friction.laws.coulomb import SurfaceCoulomb
 from closedloop.mechanics.friction.laws.none import NoFriction
 from closedloop.mechanics.integrators import ADAPTIVE, INTEGRATORS, Scheme
-from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.mechanics.surface.compliances.none import Rigid
-from closedloop.mechanics.surface.placed import Touching
-from closedloop.mechanics.surface.surface import largest_mobility
 from closedloop.scenario.scenario import BaumgarteGains, Scenario
 from closedloop.scenario.tables import names_of
 
@@ -99,11 +95,13 @@ def check_time_stepping(scenario: Scenario) -> None:
             )
 
 
-def check_stiffness(scenario: Scenario, robot: Robot, q: Array, now: Touching) -> None:
-    """Refuse a soft surface that is too stiff for the step: tip and surface are a mass, a spring and a damper."""
-    terms, name, h = robot.terms(q, np.zeros(robot.n)), scenario.time.integrator, scenario.time.step
-    mobility = largest_mobility(terms.mass_matrix, now.frame[:1] @ terms.jacobian)
-    stiffness, damping = scenario.compliance.tangent(max(0.0, -now.gap))
+def check_stiffness(scenario: Scenario, mobility: float, gap: float) -> None:
+    """Refuse a soft surface that is too stiff for the step: tip and surface are a mass, a spring and a damper.
+
+    `mobility` is that of the tip along the normal, 1/kg, and `gap` its distance from the surface, m.
+    """
+    name, h = scenario.time.integrator, scenario.time.step
+    stiffness, damping = scenario.compliance.tangent(max(0.0, -gap))
     rate = math.sqrt(stiffness * mobility)
     if not 0.0 < rate < math.inf:
         return

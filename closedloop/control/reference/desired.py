@@ -42,6 +42,9 @@ class Motion:
         n = self.joints.q.shape[1]
         table = np.zeros((instants.size, Reference.count(n) + spare))
         self.joints.write(instants, table, 2)
+        if type(self.tip) is TipPath and not self.tip.segments:  # it stays, and the other columns are zero
+            table[:, Reference.place("position", n)] = self.tip.origin
+            return table
         for name, x in zip(("position", "velocity", "acceleration"), self.tip.sample(instants), strict=True):
             table[:, Reference.place(name, n)] = x
         return table

@@ -59,6 +59,9 @@ class JointPath:
 
     def write(self, t: Array, rows: Array, orders: int) -> None:
         """Write q_des, q̇_des and, if `orders` is 3, q̈_des at times t (N,), s, to the first columns of zeros (N, m)."""
+        if self.times.size == 1:
+            rows[:, : self.q.size] = self.q[0]
+            return
         t = np.ascontiguousarray(t, dtype=np.float64)
         call_once(sample_spline, (rows,), t.size <= FEW_INSTANTS, self.times, self.q, self.v, t, rows, orders)
 

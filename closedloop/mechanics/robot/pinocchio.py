@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from closedloop.base.arguments import arguments_checked
 from closedloop.base.arrays import Array
@@ -20,6 +20,7 @@ from closedloop.mechanics.robot.tree import Tree, tree_kinematics, tree_of, tree
 from closedloop.mechanics.robot.tree.energy import spring_energy
 from closedloop.mechanics.robot.tree.model import last_velocity
 from robot_models import RobotModel
+from robot_models.cached import cached_property
 from robot_models.coordinates import BALL, in_pinocchios_order, with_quaternions, with_rotation_vectors
 from robot_models.loop_joint import WORLD
 from robot_models.tendon import spring_torque
@@ -91,7 +92,7 @@ class Robot:
         self._rest = np.zeros(self.n)
         self._latest: tuple[tuple[bytes, bytes], Terms] | None = None
         self._latest_tip: tuple[bytes, tuple[Array, Array]] | None = None
-        self._upper = np.triu(np.ones((self.n, self.n), dtype=bool))
+        self._upper = _upper(self.n)
         carrier = self._pin.frames[self._frame].parentJoint
         self.tip_offset: Array = np.array(self._pin.frames[self._frame].placement.translation)
         self.gravity: Array = np.array(self._pin.gravity.linear)
@@ -123,7 +124,7 @@ class Robot:
         sliding = sum(self.model.joint_types[self._pin.joints[joint].idx_v] == "prismatic" for joint in chain)
         return sum(math.sqrt(x @ x) for x in (*along, self.tip_offset)) + sliding
 
-    @property
+    @cached_property
     def tree(self) -> Tree:
         """The same robot for the compiled kernels of `closedloop.mechanics.robot.tree`; its arrays are not to be
         written to.
@@ -134,7 +135,7 @@ class Robot:
             If a joint has a type that `closedloop.mechanics.robot.tree.layout` does not have; no file gives such a
             type.
         """
-        return _tree_of(self.model, self.tip)
+        return tree_of(self.model, self.tip, self._pin)
 
     @property
     def passes(self) -> tuple[Any, Any, Any, Any, Any]:
@@ -450,4 +451,7 @@ def _frozen(array: Array) -> Array:
     return array
 
 
-_tree_of = lru_cache(maxsize=8)(tree_of)
+@lru_cache(maxsize=64)
+def _upper(n: int) -> NDArray[np.bool_]:
+    """Return (n, n) which entries are in the upper half, and on the diagonal."""
+    return np.triu(np.ones((n, n), dtype=bool))

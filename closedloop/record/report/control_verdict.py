@@ -373,7 +373,8 @@ def negative_gain(scenario: Scenario) -> str:
     """Return the key of a gain of a law that ships which is below zero, "" if none is."""
     if is_users(scenario.law):
         return ""
-    return next((f"law.{name}" for name in _FEEDBACK if _below(getattr(scenario.law, name, None))), "")
+    said = vars(scenario.law)
+    return next((f"law.{name}" for name in _FEEDBACK if _below(said.get(name))), "")
 
 
 def _below(gain: Any) -> bool:

@@ -262,7 +262,7 @@ class Worker:
     def _unresolved_feedback(self, scenario: Scenario, robot: Robot) -> list[str]:
         """Return what of the law's feedback the step does not resolve."""
         return self._cache.get(
-            ("feedback", robot, feedback_key(scenario)), lambda: unresolved_feedback(scenario, robot),
+            ("feedback", robot, feedback_key(scenario, self._cache.text)), lambda: unresolved_feedback(scenario, robot),
             lambda lines: SECTION_BYTES,
         )  # fmt: skip
 

@@ -30,7 +30,7 @@ from closedloop.loop.step.memory import ELASTIC_STICK, RIGID_STICK, SMOOTH, SPRI
 from closedloop.loop.step.perceived import MOTORS_MEASURED
 from closedloop.loop.step.record_row import CONTACT_RECORDED, RECORDED, ArmRow, ContactRow, Row, row_width
 from closedloop.loop.step.solve_contact import compliance_entry
-from closedloop.mechanics.friction.law import FrictionLaw
+from closedloop.mechanics.friction.law import FrictionLaw, JointFriction
 from closedloop.mechanics.friction.laws.none import NoFriction
 from closedloop.mechanics.impact import RATIOS
 from closedloop.mechanics.impact.single import RESTITUTIONS, Restitution
@@ -94,11 +94,18 @@ _DRIVES, _SENSOR, _MODEL_ERROR, _BELIEF = DrivesSection(), SensorSection(), Mode
 
 def needs_general_form(scenario: Scenario) -> bool:
     """Whether a scenario is more than the paper's law on a smooth surface, see `closedloop.loop.step.evaluate`."""
+    return is_no_papers_law(scenario.law) or asks_for_more(scenario)
+
+
+def is_no_papers_law(law: ControlLaw) -> bool:
+    """Whether a law is another than the paper's."""
+    return law.kind != "paper" or law.force_feedback > 0.0 or law.force_integral > 0.0
+
+
+def asks_for_more(scenario: Scenario) -> bool:
+    """Whether a scenario has more than a law on a smooth surface."""
     return (
-        scenario.law.kind != "paper"
-        or scenario.law.force_feedback > 0.0
-        or scenario.law.force_integral > 0.0
-        or scenario.compensation.kind != "none"
+        scenario.compensation.kind != "none"
         or scenario.friction.kind != "none"
         or scenario.rubs_in_joints
         or scenario.sensor != _SENSOR
@@ -111,14 +118,19 @@ def needs_general_form(scenario: Scenario) -> bool:
 
 def calls_law(scenario: Scenario, model: RobotModel) -> bool:
     """Whether the law is called by address: see `needs_general_form`."""
+    return is_no_papers_law(scenario.law) or calls_any_law(scenario, model)
+
+
+def calls_any_law(scenario: Scenario, model: RobotModel) -> bool:
+    """Whether any law would be called by address, the paper's too."""
     undriven = not model.loops and len(model.undriven) > 0
-    return needs_general_form(scenario) or has_stops(scenario, model) or undriven
+    return asks_for_more(scenario) or has_stops(scenario, model) or undriven
 
 
-def entries_of(scenario: Scenario, model: RobotModel, law: bool) -> dict[str, Any]:
+def entries_of(scenario: Scenario, model: RobotModel, law: bool, joints: JointFriction | None = None) -> dict[str, Any]:
     """Return what the loop calls by address of the members of a scenario, by the names that `State` has for it.
 
-    `law` says whether it calls the scenario's law, see `calls_law`.
+    `law` says whether it calls the scenario's law, see `calls_law`; `joints` is the friction in them, if it is known.
     """
     found: dict[str, Any] = {}
     if law:
@@ -129,7 +141,7 @@ def entries_of(scenario: Scenario, model: RobotModel, law: bool) -> dict[str, An
         found["compliance"] = compliance_entry(type(scenario.compliance))
     if not isinstance(scenario.friction, NoFriction):
         found["friction"] = friction_entry(type(scenario.friction))
-    if not isinstance(joints := joint_friction_of(scenario, model), NoFriction):
+    if not isinstance(joints := joints or joint_friction_of(scenario, model), NoFriction):
         found["joint_friction"] = joint_friction_entry(type(joints))
     return found
 
@@ -188,19 +200,24 @@ class Layout(NamedTuple):
     @classmethod
     def of(cls, scenario: Scenario, model: RobotModel) -> Layout:
         """Return that of a scenario with a robot."""
-        n, sections = len(model.joint_names), scenario.contact or ()
-        states, arm = StatesOf.of(scenario, n), arm_columns(scenario)
-        resists, of_law = any(each.resists for each in sections), recorded_states(states)
-        general = calls_law(scenario, model)
-        return cls(
-            general, row_width(n, bool(arm), len(sections), of_law), of_law,
-            record_layout(states, len(sections), resists, arm, scenario.has_surface),
-            tuple(entries_of(scenario, model, general).items()), tuple(settings_of(scenario, model, arm).items()),
-        )  # fmt: skip
+        states, general = StatesOf.of(scenario, model.n), calls_law(scenario, model)
+        entries, settings = entries_of(scenario, model, general), settings_of(scenario, model)
+        return cls.joined(scenario, states, general, tuple(entries.items()), tuple(settings.items()))
+
+    @classmethod
+    def joined(
+        cls, scenario: Scenario, states: StatesOf, general: bool, entries: tuple[tuple[str, Any], ...],
+        settings: tuple[tuple[str, int], ...],
+    ) -> Layout:  # fmt: skip
+        """Return that of its parts."""
+        sections, arm, of_law = scenario.contact or (), arm_columns(scenario), recorded_states(states)
+        resists = any(each.resists for each in sections)
+        record = record_layout(states, len(sections), resists, arm, scenario.has_surface)
+        return cls(general, row_width(states.n, bool(arm), len(sections), of_law), of_law, record, entries, settings)
 
 
-def settings_of(scenario: Scenario, model: RobotModel, arm: tuple[str, ...]) -> dict[str, int]:
-    """Return what sections say of the loop beside numbers, by the names of `Settings`; `arm` as of `arm_columns`."""
+def settings_of(scenario: Scenario, model: RobotModel) -> dict[str, int]:
+    """Return what sections say of the loop beside numbers, by the names of `Settings`."""
     transmission, belief, wrong = scenario.transmission, scenario.belief, scenario.model_error
     to = {
         "unilateral": scenario.surface.contact == "unilateral",
@@ -210,7 +227,7 @@ def settings_of(scenario: Scenario, model: RobotModel, arm: tuple[str, ...]) -> 
         "encoder": reading_kind(scenario), "balls": len(model.balls), "undriven": len(model.undriven),
         "drives": scenario.drives != _DRIVES, "model_error": wrong != _MODEL_ERROR,
         "misjudged": belief.differs or wrong.normal != 0.0 or belief.normal_noise > 0.0,
-        "arm_at": Row.count(len(model.joint_names)) if arm else 0,
+        "arm_at": Row.count(model.n) if arm_columns(scenario) else 0,
     }  # fmt: skip
     to["perceived"] = any(to[name] for name in ("model_error", "misjudged", "elastic", "encoder"))
     return {name: int(value) for name, value in to.items()}

@@ -433,12 +433,19 @@ def test_what_is_no_scenario_is_refused_in_one_line(wrong, said):
     assert str(caught.value).startswith(said)
 
 
-def test_numbers_are_read_in_their_sections_as_in_the_whole():
-    """A number of a section makes the scenario, or the message, that it makes where all sections are read again."""
-    scenario, short = cl.load_scenario("wam_slide"), 0
+BRISTLES = {"kind": "lugre", "static": 0.5, "kinetic": 0.3, "stribeck_speed": 0.01, "stiffness": 1e4, "damping": 10.0}
+
+
+@pytest.mark.parametrize("more", [{}, {"friction": BRISTLES}])
+def test_numbers_are_read_in_their_sections_as_in_the_whole(more):
+    """A number of a section makes the scenario, or the message, that it makes where all sections are read again.
+
+    Of bristles what is static and what is kinetic depend on each other.
+    """
+    scenario, short = cl.load_scenario("wam_slide", more), 0
     for section, part in scenario:
         for key in getattr(type(part), "model_fields", ()):
-            for value in (np.float64(0.5), -1, [0.1] * 4):
+            for value in (np.float64(0.5), -1, [0.1] * 4, float("nan")):
                 own, whole = (Variants(scenario, (f"{section}.{key}",)) for _ in range(2))
                 short, whole._alone = short + own._alone, False
                 assert _read(own, value) == _read(whole, value)

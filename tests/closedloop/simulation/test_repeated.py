@@ -201,19 +201,54 @@ def test_threads_start_one_problem_elsewhere():
 
 
 def test_what_is_made_of_sections_follows_them():
-    """It is made anew where a section that was read is another, or another argument, and nowhere else."""
-    parts, made = Parts(), []
+    """It is made anew where a section or a part that was read says other things, and nowhere else."""
+    made = []
+
+    def makes(name, make):
+        return name, lambda given, parts: made.append(name) or make(given, parts)
+
+    parts = Parts(
+        dict([
+            makes("force", lambda given, of: given.law.force if given.has_surface else 0.0),
+            makes("large", lambda given, of: of.force > 11.0),
+            makes("both", lambda given, of: (of.large, of.beside)),
+        ]),
+        ("beside",),
+    )  # fmt: skip
     scenario = scenario_with({})
     stronger, longer = scenario.replace({"law.force": 12.0}), scenario.replace({"time.duration": 0.03})
+    still = scenario.replace({"law.force": 10.5})
+    for each, beside, anew in (
+        (scenario, 1, "force large both"), (longer, 1, ""), (stronger, 1, "force large both"), (stronger, 2, "both"),
+        (stronger, 2, ""), (scenario, 2, "force large both"), (still, 2, "force large"),
+    ):  # fmt: skip
+        found = parts.turn_to(each, beside=beside)
+        assert found["force"] == each.law.force
+        assert found["both"] == (each.law.force > 11.0, beside)
+        assert made == anew.split()
+        made.clear()
+    parts.forget("large")
+    parts.turn_to(still, beside=2)
+    assert made == ["large"]
 
-    def make(given):
-        made.append(given.law.force if given.has_surface else 0.0)
-        return made[-1]
 
-    for each, other in ((scenario, 1), (longer, 1), (stronger, 1), (stronger, 2), (stronger, 2), (scenario, 2)):
-        parts.turn_to(each)
-        assert parts.follow("force", make, other) == each.law.force
-    assert made == [10.0, 12.0, 12.0, 10.0]
+def test_what_could_not_be_made_is_made_next_time():
+    """A part that is refused stays to be made, with all that follows, from the same scenario or from another."""
+
+    def least(given, parts):
+        if given.law.force < 5.0:
+            raise cl.ScenarioError("too small")
+        return given.law.force
+
+    parts = Parts({"least": least, "twice": lambda given, of: 2.0 * of.least}, ())
+    small, enough = scenario_with({"law.force": 3.0}), scenario_with({})
+    for _ in range(2):
+        with pytest.raises(cl.ScenarioError, match="too small"):
+            parts.turn_to(small)
+    for each in (enough, scenario_with({"law.force": 6.0})):
+        assert parts.turn_to(each)["twice"] == 2.0 * each.law.force
+        with pytest.raises(cl.ScenarioError, match="too small"):
+            parts.turn_to(small)
 
 
 @pytest.mark.parametrize("name", ["wam4", "planar2", "delta", "peg_gantry", "panda", "box"])

@@ -27,7 +27,7 @@ _ONWARD = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 _AXES = {"X": (1.0, 0.0, 0.0), "Y": (0.0, 1.0, 0.0), "Z": (0.0, 0.0, 1.0)}
 
 
-def tree_of(model: RobotModel, tip: str) -> Tree:
+def tree_of(model: RobotModel, tip: str, built: Any = None) -> Tree:
     """Return the arrays of a robot with a tip.
 
     Parameters
@@ -36,13 +36,15 @@ def tree_of(model: RobotModel, tip: str) -> Tree:
         From `robot_models.load`; it is Pinocchio's model of it that is read, so both engines simulate one robot.
     tip : str
         Frame whose origin touches the surface.
+    built : pinocchio.Model, optional
+        What the model's `pinocchio_model` returns, if it is there.
 
     Raises
     ------
     ModelError
         If the robot has no such frame, or a joint that is not revolute, continuous, prismatic or a ball joint.
     """
-    pin: Any = model.pinocchio_model()
+    pin: Any = model.pinocchio_model() if built is None else built
     frame = pin.frames[pin.getFrameId(model.require_frame(tip))]
     fixed = _fixed(tuple(_placed(model, pin, joint) for joint in range(1, pin.njoints)))
     kinds, parents = fixed.kinds, fixed.parents

@@ -121,7 +121,12 @@ QUARTER = limit(
 )
 MOST_GROWTH = limit("MOST_GROWTH", 2.0, "1", "forces that multiply by more, and are HIGH, have a step taken in halves")
 HIGH = limit("HIGH", 30.0, "1", "as a multiple of the load: near Painlevé's paradox forces have no bound")
-MOST_OF = limit("MOST_OF", 0.9, "1", "of what is left until slips end: until then steps are no longer")
+MOST_OF = limit(
+    "MOST_OF",
+    0.9,
+    "1",
+    "what is more is nearly all: of what is left until slips end, of a residual that no longer falls, of a cosine",
+)
 FADED = limit(
     "FADED", 0.5, "1", "a slip that begins below STICK_SPEED ends if it falls in a step to less than this share"
 )
@@ -135,6 +140,7 @@ TENTH = limit(
 # The solver in joint space.
 FIRST_RHO = limit("FIRST_RHO", 10.0, "1", "ρ of the first round, as a multiple of the inverse of a contact's mobility")
 WIDENING = limit("WIDENING", 4.0, "1", "by which ρ grows from round to round, and the bracket of a search")
+STEP_RHO = limit("STEP_RHO", 100.0, "1", "ρ of the rounds of time stepping")
 STIFF = limit("STIFF", 1e3, "1", "ρ of the last rounds; impulses so many times those that are asked for are none")
 STIFFEST_RHO = limit("STIFFEST_RHO", 1e4, "1", "ρ along the homotopy, and where rounds lessen the residual slowly")
 WEDGED = limit("WEDGED", 1e6, "1", "forces so many times those that are asked for are none: contacts are wedged")
@@ -155,7 +161,6 @@ SHARE_DEEPER = limit(
     "how deep another point of a disc's edge may be, of radius and tilt: a polygon of 31 corners",
 )
 BEYOND = limit("BEYOND", 0.95, "1", "the next corner is beyond the lowest point by this share of the angle of the last")
-FAR = limit("FAR", 0.9, "1", "from a corner that is further away, a cosine, a disc goes to its lowest point")
 
 # Counts.
 ITERATIONS = limit("ITERATIONS", 40, "", "of any iteration: what has not converged by then does not")

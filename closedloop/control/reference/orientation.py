@@ -7,9 +7,11 @@ leaves free to it (`closedloop.control.tip_space.posture`).
 A tool whose round tip is too large for a hollow of the surface is refused before anything is simulated.
 """
 
+from __future__ import annotations
+
 import math
 from dataclasses import dataclass, replace
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 from pydantic import BeforeValidator
@@ -19,9 +21,12 @@ from closedloop.base.errors import ScenarioError
 from closedloop.base.sections import Number, Size
 from closedloop.control.reference.inverse_kinematics import AXIS, FRAME, POSITION, RANK_TOLERANCE
 from closedloop.control.reference.tip_path import TipPath
-from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.mechanics.surface.along import shape_at
 from closedloop.mechanics.surface.placed import PlacedSurface, contact_frame
+
+if TYPE_CHECKING:
+    from closedloop.mechanics.robot.pinocchio import Robot
+
 
 TURN = Size(1e3, "rad", "a turn more changes nothing")
 WORDS = ("free", "normal", "start")

@@ -35,7 +35,7 @@ from closedloop.mechanics.contacts.rolling import (
 )
 from closedloop.mechanics.contacts.soft import write_soft_forces
 from closedloop.mechanics.limits import OWN_STEP
-from closedloop.mechanics.loops.memory import LoopRows, loops_at, tree_at
+from closedloop.mechanics.loops.memory import ROWS, LoopRows, loops_at, tree_at
 from closedloop.mechanics.loops.rows import ALONG, POINT, locate_rows, move_point, turn_direction
 from closedloop.mechanics.loops.solve import leave_free
 from closedloop.mechanics.surface.contact import CONTACT, FOUND, ask_at, edge_distance
@@ -95,7 +95,9 @@ def locate_points(links: ContactLinks, c: Contacts, w: Work, constants: Constant
     for j in range(links.n):
         rows.q[j], rows.v[j] = w.q[j], w.v[j]
     for i in range(1, links.points):
-        rows.clear[3 * (i - 1)] = clear_gap(links, c, i)
+        rows.clear[3 * (i - 1)], rows.beyond[3 * (i - 1)] = clear_gap(links, c, i), math.inf
+        if c.mode[i] == FREE and c.friction.pulls[i] == 0.0:
+            rows.beyond[3 * (i - 1)] = c.gaps.extent[i] + c.step.reach
     locate_rows(joints, rows)
     for i in range(1, links.points if links.shapes != 0 else 0):
         shapes = shapes_at(links.shapes)
@@ -113,7 +115,8 @@ def locate_points(links: ContactLinks, c: Contacts, w: Work, constants: Constant
             if foot and is_idle(shapes_at(links.shapes), c, i, resolution(constants, state)):
                 c.located[3 * i] = APART
     for i in range(1, links.points if links.surfaces != 0 else 0):
-        if not turn_to_surface(links, c, i, w.time, constants.h, state):
+        written = rows.written[3 * i - 3] == ROWS
+        if asked(links, i) and not turn_to_surface(links, c, i, written, w.time, constants.h, state):
             return int(NO_NORMAL)
     if links.joints > links.points + links.stops:
         write_resistances(joints, rows, shapes_at(links.shapes), links, c)
@@ -124,10 +127,9 @@ def locate_points(links: ContactLinks, c: Contacts, w: Work, constants: Constant
 def take_rows(links: ContactLinks, c: Contacts, rows: LoopRows, i: int) -> None:
     """Take gap, place and velocity of contact i from its rows, and if these are written, what they are."""
     r, n = 3 * i - 3, 3 * i
-    clear = rows.error[r] > rows.clear[r]
     for a in range(3):
         c.located[n + a], c.u[n + a] = rows.error[r + a], rows.rate[r + a]
-        if clear:
+        if rows.written[r] != ROWS:
             continue
         c.drift[n + a] = rows.drift[r + a]
         to, of = row_of(c.G, n + a), row_of(rows.G, r + a)
@@ -211,13 +213,13 @@ def asked(links: ContactLinks, i: int) -> bool:
 
 
 @kernel
-def turn_to_surface(links: ContactLinks, c: Contacts, i: int, time: float, h: float, state: State) -> bool:
-    """Turn the rows of a contact from the axes of the frame that carries its surface to n, t1, t2 of that surface.
+def turn_to_surface(
+    links: ContactLinks, c: Contacts, i: int, written: bool, time: float, h: float, state: State
+) -> bool:
+    """Turn what is written of a contact from the axes of the frame that carries its surface to n, t1, t2 of that.
 
     Returns False where there is no normal, or a contact that touches comes to where there is none within the step h, s.
     """
-    if not asked(links, i):
-        return True
     where, n = integers_at(links.surfaces, 2 * links.k), 3 * i
     own, ask = ask_at(where[2 * i + 1])
     ask.time = time
@@ -231,11 +233,12 @@ def turn_to_surface(links: ContactLinks, c: Contacts, i: int, time: float, h: fl
     c.inside[i] = edge_distance(touch.at, ask.bounds, ask.solid)
     if c.mode[i] != FREE and touch.growth * h < -1.0:
         return False
-    for j in range(links.n):
+    first, end = joints_of(c, i)
+    for j in range(first, end if written else first):
         g0, g1, g2 = c.G[n, j], c.G[n + 1, j], c.G[n + 2, j]
         for a in range(3):
             c.G[n + a, j] = N[a, 0] * g0 + N[a, 1] * g1 + N[a, 2] * g2
-    d0, d1, d2 = c.drift[n], c.drift[n + 1], c.drift[n + 2]
+    d0, d1, d2 = (c.drift[n], c.drift[n + 1], c.drift[n + 2]) if written else (0.0, 0.0, 0.0)
     c.located[n] = touch.level / touch.size
     if c.mode[i] != FREE and 0.0 <= c.inside[i] < c.located[n]:  # left over the edge: the next face is near
         c.inside[i] = -c.located[n]

@@ -28,7 +28,7 @@ from closedloop.mechanics.contacts.memory import Contacts
 from closedloop.mechanics.contacts.rolling import EDGE, EDGE_2, OF_EDGE_2, Shapes, turn_against
 from closedloop.mechanics.contacts.sections import ContactSection
 from closedloop.mechanics.limits import BEYOND_EDGE, LEAN, LEVER, PARALLEL
-from closedloop.mechanics.loops.memory import LoopLinks, LoopRows, tree_at
+from closedloop.mechanics.loops.memory import NOTHING, LoopLinks, LoopRows, tree_at
 from closedloop.mechanics.loops.rows import carry_direction, locate_point
 
 # Numbers of edge 1: e1, L1, its two sides, ρ1, ρ2, whether the last crossing is meant, how many edges 2 there are, and
@@ -182,7 +182,9 @@ def write_edge_rows(joints: LoopLinks, rows: LoopRows, shapes: Shapes, c: Contac
     partner = int(edge[PARTNER])
     if c.mode[i] == FREE:
         same = 0 < partner < i and c.mode[partner] == FREE  # the same edge has just been looked at
-        if (shapes.chosen[partner] == NONE) if same else not may_cross(joints, rows, shapes, i):
+        if rows.written[k] == NOTHING or (
+            (shapes.chosen[partner] == NONE) if same else not may_cross(joints, rows, shapes, i)
+        ):
             shapes.chosen[i] = NONE
             leave_apart(joints, c, i)
             return
@@ -251,6 +253,15 @@ def leave_apart(joints: LoopLinks, c: Contacts, i: int) -> None:
         c.located[r], c.u[r], c.drift[r] = APART if r == 3 * i else 0.0, 0.0, 0.0
         for j in range(joints.n if c.near[i] != 0.0 else 0):
             c.G[r, j] = 0.0
+
+
+def reach_of_edges(edge: Array) -> float:
+    """Return how far the middle of edge 1 may be from that of the others where some cross, m, by numbers (EDGE,)."""
+    own, others = edge[L1] + edge[DEEP] + edge[ROUND1] + edge[ROUND2], 0.0
+    for k in range(int(edge[COUNT])):
+        b = EDGE_2 + OF_EDGE_2 * k
+        others = max(others, float(np.linalg.norm(edge[b + P2 : b + P2 + 3]) + edge[b + L2]))
+    return float(own + others)
 
 
 def edges_of(section: ContactSection, rotation: Array) -> Array:

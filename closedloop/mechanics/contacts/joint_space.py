@@ -9,6 +9,11 @@ Control Optim. 14, 1976) from P° solves
 for y by Newton's method: the augmented Lagrangian of P. Alart and A. Curnier (Comput. Methods Appl. Mech. Eng. 92,
 1991). Its matrix 1 + ρ Xᵀ ∂Π J is that of the joints and never singular. As ρ grows from round to round few are needed.
 Of forces that are not unique it takes, from P° = 0, nearly the shortest.
+
+A round is of one of two kinds. With μ|u_t| as it was before the round (V. Acary, F. Cadoux, C. Lemaréchal, J. Malick,
+ZAMM 91, 2011) y is the least of a convex function, which Newton's method with a search along its step finds from
+anywhere. Where the slip grows that of the y that is sought is taken: with less, contacts that touch and only slide
+along would be pressed. With μ|u_t| of the y that is sought throughout, a round is quick, but only from nearby.
 """
 
 from __future__ import annotations
@@ -27,10 +32,11 @@ from closedloop.mechanics.limits import (
     FOUND,
     HALVINGS,
     ITERATIONS,
+    MOST_OF,
     NEAR,
     NEWTON_STEPS,
-    SLIGHT,
     SMALL,
+    STEP_RHO,
     STEPS,
     STIFF,
     STIFFEST_RHO,
@@ -70,6 +76,9 @@ class JointSpace(Block, sizes=("n", "k")):
     trial: Annotated[Array, 3 * K]
     before: Annotated[Array, 3 * K]  # P of the round before
     slope: Annotated[Array, K, 3, 3]  # ∂Π
+    lagged: float  # 1: with μ|u_t| as it was before the round
+    lifted: Annotated[Array, K]  # that, m/s
+    change: Annotated[Array, 3 * K]  # of u along a step
     along: Annotated[Array, K, 2]  # ∂(μ|u_t|)/∂u_t; of an owned one ∂P_t/∂P_n of its owner
     y: Annotated[Array, N]
     y_trial: Annotated[Array, N]
@@ -147,9 +156,11 @@ def respond(s: JointSpace, i: int, rho: float, P: Array) -> None:
     along[0] = along[1] = 0.0
     if normal == PUSHES and s.tangent[i] == IN_CONE:
         size, share = math.hypot(u1, u2), (1.0 - s.associated) * mu
-        if size > 0.0:
+        lags = s.lagged != 0.0 and s.lifted[i] > share * size
+        if size > 0.0 and not lags:
             along[0], along[1] = share * u1 / size, share * u2 / size
-        into_cone_with_slope(x0 - rho * share * size, x1, x2, mu, P[at : at + 3], slope)
+        lifted = s.lifted[i] if lags else share * size
+        into_cone_with_slope(x0 - rho * lifted, x1, x2, mu, P[at : at + 3], slope)
         return
     for a in range(3):
         for b in range(3):
@@ -189,22 +200,26 @@ def rho_of(s: JointSpace, i: int, stiffness: float) -> float:
 
 @kernel
 def write_off(s: JointSpace, a: int, n: int, stiffness: float, y: Array) -> float:
-    """Write y − Xᵀ Π at y, Π in `trial` and its slopes; return the square of what is off."""
-    for j in range(n):
-        s.off[j] = y[j] if s.held == 0.0 else s.wanted[j]
+    """Write u, Π in `trial` and its slopes, and y − Xᵀ Π at y; return the square of that."""
     for i in range(a):
         write_speed(s, i, y)
         respond(s, i, rho_of(s, i, stiffness), s.trial)
+    return add_off(s, a, n, y)
+
+
+@kernel
+def add_off(s: JointSpace, a: int, n: int, y: Array) -> float:
+    """Write y − Xᵀ Π of the Π in `trial`; return the square of that."""
+    for j in range(n):
+        s.off[j] = y[j] if s.held == 0.0 else s.wanted[j]
+    for i in range(a):
         p0, p1, p2 = s.trial[3 * i], s.trial[3 * i + 1], s.trial[3 * i + 2]
         if p0 == 0.0 and p1 == 0.0 and p2 == 0.0:
             continue
         x0, x1, x2 = row_of(s.X, 3 * i), row_of(s.X, 3 * i + 1), row_of(s.X, 3 * i + 2)
         for j in range(int(s.first[i]), int(s.end[i])):
             s.off[j] -= x0[j] * p0 + x1[j] * p1 + x2[j] * p2
-    square = 0.0
-    for j in range(n):
-        square += s.off[j] * s.off[j]
-    return square
+    return dot_of(s.off, n)
 
 
 @kernel
@@ -315,24 +330,73 @@ def residual_of(s: JointSpace, a: int, n: int) -> float:
 
 
 @kernel
-def solve_in_joint_space(s: JointSpace, a: int, n: int, first: float, wanted: float = FOUND) -> bool:
-    """Write P and u of the a contacts, from P, with the first ρ; return whether they are found.
+def solve_in_joint_space(s: JointSpace, a: int, n: int, first: float) -> bool:
+    """Write P and u of the a contacts but for rounding, from P, with the first ρ; return whether they are found.
 
-    Rounds end at the residual `wanted`, or when they no longer lessen it. What a round leaves of its equations counts
-    1/ρ of that in impulses: for a residual of FOUND it may leave ρ times as much.
+    No round lags. They end when they no longer lessen the residual.
     """
     stiffness, before = first, math.inf
     for _ in range(ITERATIONS):
         s.residual = residual_of(s, a, n)
-        if s.residual <= wanted or 0.5 * before < s.residual <= (SLIGHT if wanted == FOUND else 10.0 * EXACT):
+        if s.residual <= EXACT or 0.5 * before < s.residual <= 10.0 * EXACT:
             return True
         slow, before = s.residual > max(0.5 * before, STIFF * EXACT), s.residual
         if not s.residual < math.inf:
             return False
-        do_round(s, a, n, stiffness, TENTH * stiffness if wanted == FOUND else SMALL)
-        stiffness = min(WIDENING * stiffness, STIFFEST_RHO if slow and wanted == EXACT else STIFF)
+        do_round(s, a, n, stiffness, False, SMALL)
+        stiffness = min(WIDENING * stiffness, STIFFEST_RHO if slow else STIFF)
     s.residual = residual_of(s, a, n)
-    return bool(s.residual <= (NEAR if wanted == FOUND else FOUND))
+    return bool(s.residual <= FOUND)
+
+
+@kernel
+def solve_step(s: JointSpace, a: int, n: int) -> bool:
+    """Write P and u of the a contacts of a time step, from P; return whether they are found.
+
+    Where a round that lags lessens the residual little one that does not is tried; and again where the residual is much
+    less than where that failed, or no longer falls. Rounds end at the residual FOUND, or when neither lessens it. What
+    a round leaves of its equations counts 1/ρ of that in impulses: it may leave more than ρ times as much.
+    """
+    lagged, failed, flat = True, math.inf, False
+    s.residual = residual_of(s, a, n)
+    for _ in range(ITERATIONS):
+        if s.residual <= FOUND:
+            return True
+        if not s.residual < math.inf:
+            return False
+        before = s.residual
+        for r in range(3 * a):
+            s.before[r] = s.P[r]
+        do_round(s, a, n, STEP_RHO, lagged, WIDENING)
+        s.residual = residual_of(s, a, n)
+        if lagged:
+            flat = s.residual > MOST_OF * before
+            lagged = not (flat or TENTH * before < s.residual < TENTH * failed)
+        elif s.residual > 0.5 * before:
+            lagged, failed = True, before
+            for r in range(3 * a):
+                s.P[r] = s.before[r]
+            s.residual = residual_of(s, a, n)
+            if flat:
+                break
+    return bool(s.residual <= NEAR or solve_from_rest(s, a, n))
+
+
+@kernel
+def solve_from_rest(s: JointSpace, a: int, n: int) -> bool:
+    """Do `solve_step` from no impulses by rounds that do not lag, with ρ that grows, until two do not lessen it."""
+    stiffness, flat = FIRST_RHO, 0
+    start_at_rest(s, a, n)
+    s.residual = residual_of(s, a, n)
+    for _ in range(ITERATIONS):
+        if s.residual <= FOUND or flat == 2:
+            break
+        before = s.residual
+        do_round(s, a, n, stiffness, False, WIDENING)
+        s.residual = residual_of(s, a, n)
+        stiffness = min(WIDENING * stiffness, STEP_RHO)
+        flat = flat + 1 if not s.residual <= MOST_OF * before else 0
+    return bool(s.residual <= NEAR)
 
 
 @kernel
@@ -345,18 +409,18 @@ def find_exactly(s: JointSpace, a: int, n: int) -> bool:
     s.associated, s.alike = 0.0, 1.0
     for attempt in range(2):
         start_at_rest(s, a, n)
-        if solve_in_joint_space(s, a, n, FIRST_RHO if attempt == 0 else 1.0, EXACT):
+        if solve_in_joint_space(s, a, n, FIRST_RHO if attempt == 0 else 1.0):
             return True
         s.alike = 0.0
     for steps in STEPS:
         start_at_rest(s, a, n)
         s.associated = 1.0
-        solve_in_joint_space(s, a, n, FIRST_RHO, FOUND)
+        solve_step(s, a, n)
         for i in range(steps):
             s.associated = 1.0 - (i + 1.0) / steps
             s.residual = residual_of(s, a, n)
-            do_round(s, a, n, STIFFEST_RHO)
-        if solve_in_joint_space(s, a, n, 1.0, EXACT):
+            do_round(s, a, n, STIFFEST_RHO, False)
+        if solve_in_joint_space(s, a, n, 1.0):
             return True
     return False
 
@@ -375,7 +439,7 @@ def find_least(s: JointSpace, a: int, n: int) -> bool:
     for r in range(3 * a):
         s.P[r], s.q[r] = 0.0, 0.0
     s.residual, s.asked = FOUND, math.sqrt(size * s.largest)
-    do_round(s, a, n, 1.0, SMALL * SMALL)
+    do_round(s, a, n, 1.0, False, SMALL * SMALL)
     left = 0.0
     for j in range(n):
         left += s.off[j] * s.off[j]
@@ -443,18 +507,29 @@ def solve_softly(s: JointSpace, a: int, n: int, rounds: int = 1) -> bool:
 
 
 @kernel
-def do_round(s: JointSpace, a: int, n: int, stiffness: float, leaves: float = TENTH) -> None:
-    """Do a round of the proximal point method: write the P that is nearest, from P, and y and u of it."""
-    most = 0.0
+def do_round(s: JointSpace, a: int, n: int, stiffness: float, lagged: bool = True, leaves: float = TENTH) -> None:
+    """Do a round of the proximal point method: write the P that is nearest, from P, and y and u of it.
+
+    With μ|u_t| of the u that is written, if it lags, else of the round's end; of its equations it leaves a share. Where
+    it does not lag a step of Newton's method is halved until less is off.
+    """
+    s.lagged, most = 1.0 if lagged else 0.0, 0.0
     for i in range(a):
         most = max(most, s.mobility[i])
+        s.lifted[i] = (1.0 - s.associated) * s.mu[i] * math.hypot(s.u[3 * i + 1], s.u[3 * i + 2])
     left = leaves * max(s.residual, FOUND) * s.asked / (stiffness * math.sqrt(most))
     square = write_off(s, a, n, stiffness, s.y)
     for _ in range(NEWTON_STEPS):
         if square <= left * left:
             break
         newton_step_of_joints(s, a, n, stiffness)
-        share, last = 1.0, square
+        last = square
+        if lagged:
+            slope, square = search(s, a, n, stiffness)
+            if not (square < last or slope < -EXACT * EXACT * dot_of(s.y, n)):
+                break
+            continue
+        share = 1.0
         for _ in range(HALVINGS):
             for j in range(n):
                 s.y_trial[j] = s.y[j] + share * s.step[j]
@@ -469,3 +544,59 @@ def do_round(s: JointSpace, a: int, n: int, stiffness: float, leaves: float = TE
             s.y[j] = s.y_trial[j]
     for r in range(3 * a):
         s.P[r] = s.trial[r]
+    s.lagged = 0.0
+
+
+@kernel
+def dot_of(x: Array, n: int) -> float:
+    """Return |x|² of x (n,)."""
+    square = 0.0
+    for j in range(n):
+        square += x[j] * x[j]
+    return square
+
+
+@kernel
+def search(s: JointSpace, a: int, n: int, stiffness: float) -> tuple[float, float]:
+    """Go along the step to where what is off is across it: the least, there, of a convex function with `off` as slope.
+
+    Writes y, u, Π and `off` there; returns the slope along the step where it began, and the square of what is off.
+    """
+    began, square, growth, share, low, high = 0.0, 0.0, 0.0, 1.0, 0.0, math.inf
+    for j in range(n):
+        began += s.off[j] * s.step[j]
+        square += s.step[j] * s.step[j]
+        growth += (s.y[j] if s.held == 0.0 else s.wanted[j]) * s.step[j]
+    for i in range(a):
+        at, x0, x1, x2 = 3 * i, row_of(s.X, 3 * i), row_of(s.X, 3 * i + 1), row_of(s.X, 3 * i + 2)
+        c0 = c1 = c2 = 0.0
+        for j in range(int(s.first[i]), int(s.end[i])):
+            c0, c1, c2 = c0 + x0[j] * s.step[j], c1 + x1[j] * s.step[j], c2 + x2[j] * s.step[j]
+        s.change[at], s.change[at + 1], s.change[at + 2] = c0, c1, c2
+    gone = 0.0
+    for _ in range(HALVINGS):
+        slope, steeper = growth, 0.0
+        if s.held == 0.0:
+            slope, steeper = slope + share * square, square
+        for i in range(a):
+            at, rho, J = 3 * i, rho_of(s, i, stiffness), s.slope[i]
+            for r in range(at, at + 3):
+                s.u[r] += (share - gone) * s.change[r]
+            respond(s, i, rho, s.trial)
+            c0, c1, c2 = s.change[at], s.change[at + 1], s.change[at + 2]
+            slope -= s.trial[at] * c0 + s.trial[at + 1] * c1 + s.trial[at + 2] * c2
+            steeper += rho * (
+                c0 * (J[0, 0] * c0 + J[0, 1] * c1 + J[0, 2] * c2)
+                + c1 * (J[1, 0] * c0 + J[1, 1] * c1 + J[1, 2] * c2)
+                + c2 * (J[2, 0] * c0 + J[2, 1] * c1 + J[2, 2] * c2)
+            )
+        gone = share
+        if not abs(slope) > TENTH * abs(began):
+            break
+        low, high = (low, share) if slope > 0.0 else (share, high)
+        share = share - slope / steeper if steeper > 0.0 else math.inf
+        if not low < share < high:
+            share = 0.5 * (low + high) if high < math.inf else 2.0 * low
+    for j in range(n):
+        s.y[j] += gone * s.step[j]
+    return began, add_off(s, a, n, s.y)

@@ -90,6 +90,7 @@ class Gaps(Block, sizes=("k",)):
 
     cleared: Annotated[Array, K]  # 1 if it has been clear of the surface since it lifted off
     floor: Annotated[Array, K]  # the gap at which it parted, m, if that was negative
+    extent: Annotated[Array, K]  # of its surface, or its edges, from the origin of the frame that carries them, m
     unloaded: Annotated[Array, K]  # the gap at which a soft one has no force, m, negative where it began inside
 
 
@@ -313,6 +314,6 @@ def make_contact_memory(
     links.rows = 0 if rows is None else rows.address
     contacts.moves.end[:], contacts.moves.dry[:] = n, 1.0 if joints > 0 else 0.0
     contacts.direction[:, 0], contacts.near[:], contacts.inside[:] = 1.0, 1.0, np.inf
-    contacts.step.reach = HOVERING
+    contacts.step.reach, contacts.gaps.extent[:] = HOVERING, np.inf
     links.keep_alive(rows=rows)
     return ContactMemory(links, contacts)

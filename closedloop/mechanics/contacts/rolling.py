@@ -52,9 +52,9 @@ from closedloop.mechanics.contacts.sections import THIN, ContactSection
 from closedloop.mechanics.limits import (
     AGAIN,
     BEYOND,
-    FAR,
     FOUND,
     HOVERING,
+    MOST_OF,
     NEAR,
     OFF_SURFACE,
     RESOLVED,
@@ -375,7 +375,7 @@ def leave_seats(links: ContactLinks, c: Contacts, h: float) -> bool:
         size = rim.radius[i] * rim.tilt[i]
         deeper = (1.0 - rim.apart[i]) * size
         on = OFF_SURFACE + SHARE_DEEPER * size < deeper
-        if c.soft[i] != 0.0 and not (on and rim.apart[i] > FAR):
+        if c.soft[i] != 0.0 and not (on and rim.apart[i] > MOST_OF):
             c.gaps.unloaded[i] -= deeper
         if on:
             seat_next(shapes, i)
@@ -391,7 +391,7 @@ def leave_seats(links: ContactLinks, c: Contacts, h: float) -> bool:
 def seat_next(shapes: Shapes, i: int) -> None:
     """Let contact i stand on the next point: in coordinates in which the edge is a circle, beyond the lowest."""
     rim, of_lowest, of_last = shapes.rim, 1.0, 0.0
-    if FAR < rim.apart[i] < 1.0:
+    if MOST_OF < rim.apart[i] < 1.0:
         angle = math.acos(rim.apart[i])
         of_lowest, of_last = math.sin((1.0 + BEYOND) * angle), math.sin(BEYOND * angle)
         of_lowest, of_last = of_lowest / math.sin(angle), of_last / math.sin(angle)

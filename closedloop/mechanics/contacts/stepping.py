@@ -32,13 +32,13 @@ from closedloop.mechanics.contacts.joint_space import (
     PUSHES,
     JointSpace,
     is_wedged,
-    solve_in_joint_space,
     solve_softly,
+    solve_step,
 )
 from closedloop.mechanics.contacts.memory import INSIDE, ContactLinks, Contacts, joints_of
 from closedloop.mechanics.contacts.resistance import is_resistance
 from closedloop.mechanics.contacts.soft import force_at, soft_gap
-from closedloop.mechanics.limits import AHEAD, FIRST_RHO, HOVERING, STIFF, TENTH, TURNED
+from closedloop.mechanics.limits import AHEAD, HOVERING, TENTH, TURNED
 
 
 @kernel
@@ -67,17 +67,11 @@ def begin_step(links: ContactLinks, c: Contacts, load: Array, h: float, rest_spe
     s, n = c.stepping, links.n
     a = write_problem(links, c, load, h, TENTH, rest_speed)
     s.associated = s.alike = 0.0
-    found = a == 0 or solve_in_joint_space(s, a, n, STIFF)
-    for attempt in range(3):
-        if not found:  # contacts that are inside each other may not all part at once
-            s.associated = 1.0 if attempt == 2 else 0.0
-            write_problem(links, c, load, h, TENTH if attempt == 0 else 0.0, rest_speed)
-            for r in range(3 * a):
-                s.P[r] = 0.0
-            found = solve_in_joint_space(s, a, n, FIRST_RHO)
-    found = found and not is_wedged(s, a)
-    if not (found or solve_softly(s, a, n)):
-        return PAINLEVE
+    found = a == 0 or solve_step(s, a, n)
+    if not found or is_wedged(s, a):  # what is inside each other may not all part at once: what is deep then stays
+        write_problem(links, c, load, h, 0.0, rest_speed)
+        if not solve_softly(s, a, n):
+            return PAINLEVE
     for i in range(links.k):
         at, pressed = int(s.packed_at[i]), 0.0
         for r in range(3):

@@ -30,7 +30,7 @@ from closedloop.mechanics.contacts.modes import happened_to, touches, write_befo
 from closedloop.mechanics.contacts.packed import pack_contacts, unpack_contacts
 from closedloop.mechanics.contacts.resistance import form_of_resistance, is_resistance, mode_of_resistance
 from closedloop.mechanics.contacts.unknown_modes import solve_impulses
-from closedloop.mechanics.limits import EXACT, SMALL, TENTH, TIME_STEP_SPAN
+from closedloop.mechanics.limits import SMALL, TENTH, TIME_STEP_SPAN
 
 # Speeds at which contacts come together in the problems near it, of the largest speed.
 COMING = (TENTH, TENTH * TENTH)
@@ -76,7 +76,7 @@ def from_impact(links: ContactLinks, c: Contacts, coming: float) -> bool:
     for i in range(a):
         s.q[3 * i] += coming * fastest
     s.alike = 1.0
-    found = found and solve_in_joint_space(s, a, links.n, TENTH, EXACT)
+    found = found and solve_in_joint_space(s, a, links.n, TENTH)
     unpack_contacts(links, c, a)
     for i in range(3 * k):
         if c.problem.form[i // 3] != OFF:

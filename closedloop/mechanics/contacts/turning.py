@@ -45,7 +45,6 @@ from closedloop.mechanics.contacts.soft import drop_contradictions, shared_frict
 from closedloop.mechanics.limits import (
     AT_EDGE,
     BESIDE_EDGE,
-    EXACT,
     FIRST_RHO,
     HIGH,
     HOVERING,
@@ -250,9 +249,9 @@ def solve_within(links: ContactLinks, c: Contacts, k: int, rate: float) -> bool:
     s.associated, s.alike = 0.0, 1.0
     if c.problem.points > 0.0:
         start_at_rest(s, k, n)
-    if not solve_in_joint_space(s, k, n, FIRST_RHO if c.problem.points > 0.0 else STIFF, EXACT):
+    if not solve_in_joint_space(s, k, n, FIRST_RHO if c.problem.points > 0.0 else STIFF):
         s.alike = 0.0
-        if not solve_in_joint_space(s, k, n, FIRST_RHO, EXACT):
+        if not solve_in_joint_space(s, k, n, FIRST_RHO):
             return False
     if has_derivatives(s.y[0]):
         differentiate(s, k, n)

@@ -60,7 +60,11 @@ class LoopRows(Block, sizes=("n", "m")):
     second: Annotated[Array, M, N]
     scale: Annotated[Array, M]  # one over the usual length of each row
     undriven: Annotated[Array, N, N]  # as many rows as `LoopLinks.undriven` says, see `robot_models.model`
-    clear: Annotated[Array, M]  # of a point whose first error is above this, m, only errors and rates are written
+    # Of a point whose first error is above this, m, or that is farther than that from the other point, only errors and
+    # rates are written; if clear is −inf only errors, and these only if it is nearer.
+    clear: Annotated[Array, M]
+    beyond: Annotated[Array, M]
+    written: Annotated[Array, M]  # ROWS, RATES, ERRORS or NOTHING of a point
     G: Annotated[Array, M, N]  # written, as all that follow: the rows, their drift, error and its rate
     drift: Annotated[Array, M]
     error: Annotated[Array, M]  # m, or the sine of an angle
@@ -97,6 +101,8 @@ LOOP_LINKS = LoopLinks.count()
 
 # Kinds of rows, see `closedloop.mechanics.loops.rows`.
 POSITION, ROTATION, DISTANCE, GEAR, IDLE = range(5)
+# What is written of a point.
+ROWS, RATES, ERRORS, NOTHING = range(4)
 
 
 @kernel
@@ -188,7 +194,7 @@ def make_loop_memory(tree: Tree, bound: Bound) -> LoopMemory:
     for name in VALUES:
         getattr(rows, name)[:] = getattr(bound, name)
     rows.undriven[: len(bound.undriven)] = bound.undriven
-    rows.clear[:] = np.inf
+    rows.clear[:] = rows.beyond[:] = np.inf
     links.keep_alive(tree=tree, bound=bound, scratch=scratch, order=order)
     if bound.moved:
         add_frames(links, bound.moved)

@@ -17,7 +17,20 @@ import math
 from closedloop.base.arrays import Array
 from closedloop.jit.calls import integers_at, row_of, vector_at
 from closedloop.jit.kernel import kernel, kernel_inlined
-from closedloop.mechanics.loops.memory import DISTANCE, GEAR, IDLE, POSITION, ROTATION, LoopLinks, LoopRows, tree_at
+from closedloop.mechanics.loops.memory import (
+    DISTANCE,
+    ERRORS,
+    GEAR,
+    IDLE,
+    NOTHING,
+    POSITION,
+    RATES,
+    ROTATION,
+    ROWS,
+    LoopLinks,
+    LoopRows,
+    tree_at,
+)
 from closedloop.mechanics.robot.tree import Tree
 from closedloop.mechanics.robot.tree import layout as at
 from closedloop.mechanics.robot.tree.kinematics import motion, sines
@@ -65,7 +78,10 @@ def _locate(links: LoopLinks, rows: LoopRows, moving: bool) -> None:
             count = 1
             while k + count < links.m and sides[3 * links.m + k + count] != 0:
                 count += 1
-            if not (rows.clear[k] < math.inf and _is_clear(tree, work, rows, k, count, (one, other))):
+            rows.written[k] = ROWS
+            if rows.clear[k] < math.inf or rows.beyond[k] < math.inf:
+                rows.written[k] = _written(tree, work, rows, k, count, (one, other))
+            if rows.written[k] == ROWS:
                 _positions(tree, work, rows, k, count, (one, other), moving)
             continue
         for j in range(links.n):
@@ -83,23 +99,28 @@ def _locate(links: LoopLinks, rows: LoopRows, moving: bool) -> None:
 
 
 @kernel
-def _is_clear(tree: Tree, work: Array, rows: LoopRows, k: int, count: int, ends: tuple[int, int]) -> bool:
-    """Write error and rate of rows k, k + 1, ... as `_positions` does; return whether the first error is above `clear`.
+def _written(tree: Tree, work: Array, rows: LoopRows, k: int, count: int, ends: tuple[int, int]) -> float:
+    """Write error and rate of rows k, k + 1, ... as `_positions` does, or less; return what is written.
 
-    The rate is u·(ṗ_a − ṗ), with ṗ the velocity of that point of the other link that lies at a.
+    It is ROWS if the rows themselves are wanted: where neither `clear` nor `beyond` says that they are not. The rate is
+    u·(ṗ_a − ṗ), with ṗ the velocity of that point of the other link that lies at a.
     """
     a, b, u = row_of(rows.motions, 0), row_of(rows.motions, 1), rows.directions
     one, other = ends
     _move_point(tree, work, one, row_of(rows.at_a, k), a, False)
     _move_point(tree, work, other, row_of(rows.at_b, k), b, False)
+    d0, d1, d2 = a[POINT] - b[POINT], a[POINT + 1] - b[POINT + 1], a[POINT + 2] - b[POINT + 2]
+    far = d0 * d0 + d1 * d1 + d2 * d2 > rows.beyond[k] * rows.beyond[k]
+    if far and rows.clear[k] == -math.inf:
+        return NOTHING
     for r in range(count):
         _turn(tree, work, other, row_of(rows.along_b, k + r), row_of(u, r), 0, False)
-        c, error = row_of(u, r), 0.0
-        for i in range(3):
-            error += c[i] * (a[POINT + i] - b[POINT + i])
-        rows.error[k + r] = error
-    if not rows.error[k] > rows.clear[k]:
-        return False
+        c = row_of(u, r)
+        rows.error[k + r] = c[0] * d0 + c[1] * d1 + c[2] * d2
+    if rows.clear[k] == -math.inf:
+        return ERRORS
+    if not (far or rows.error[k] > rows.clear[k]):
+        return ROWS
     _along_joints(tree, work, one, a, 1.0, rows, k, 0)
     x, y, z = a[VELOCITY], a[VELOCITY + 1], a[VELOCITY + 2]
     _along_joints(tree, work, other, a, -1.0, rows, k, 0)
@@ -107,7 +128,7 @@ def _is_clear(tree: Tree, work: Array, rows: LoopRows, k: int, count: int, ends:
     for r in range(count):
         c = row_of(u, r)
         rows.rate[k + r] = c[0] * x + c[1] * y + c[2] * z
-    return True
+    return RATES
 
 
 @kernel

@@ -214,6 +214,14 @@ class PlacedSurface:
         return not isinstance(self.motion, NoMotion)
 
     @property
+    def extent(self) -> float:
+        """How far from the origin of its axes a block at rest reaches that a point touches, m; inf of all else."""
+        half = np.array(self.section.solid()[2:]) * (1.0, 1.0, 2.0)  # its origin is in the middle of a face
+        if self.moves or self.radius > 0.0 or not half[2] > 0.0:
+            return math.inf
+        return float(np.linalg.norm(self.origin) + np.linalg.norm(half))
+
+    @property
     def offset(self) -> float:
         """n·p of its origin at t = 0, m: d of a plane; of a ball's centre where it touches that plane."""
         if isinstance(self.section, PlaneSurface) and self.section.offset != "start":

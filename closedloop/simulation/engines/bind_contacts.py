@@ -16,7 +16,7 @@ from closedloop.jit.interpreted import interpreted
 from closedloop.jit.user_code import of_users
 from closedloop.loop.step.memory import Constants
 from closedloop.loop.step.tendons import rate_along, stops_of
-from closedloop.mechanics.contacts.edges import PARTNER, choose_crossing, edges_of
+from closedloop.mechanics.contacts.edges import COUNT, PARTNER, choose_crossing, edges_of, reach_of_edges
 from closedloop.mechanics.contacts.friction import (
     STICKING,
     contact_friction_entry,
@@ -136,6 +136,8 @@ def contact_memory(scenario: Scenario, robot: Robot, placed: ContactRows) -> Con
     contacts.mu[:points] = [plain_friction(scenario.friction, 0.0), *map(coulomb_of, sections)]
     contacts.rest_speed[1:points] = [section.rest_speed or 0.0 for section in sections]
     contacts.joint[points : points + len(stops)] = stops
+    for edged in np.flatnonzero(placed.edges[:, COUNT]):
+        contacts.gaps.extent[edged] = reach_of_edges(placed.edges[edged])
     write_joints(contacts, robot, placed.bound, stops, turns, held)
     if laws:
         frictions = contact_frictions(laws, k)
@@ -156,6 +158,8 @@ def contact_memory(scenario: Scenario, robot: Robot, placed: ContactRows) -> Con
         links.keep_alive(shapes=shapes)
     if surfaces := surfaces_of(sections, names):
         given = contact_surfaces(surfaces, k)
+        for i, (surface, _) in given.placed.items():
+            contacts.gaps.extent[i] = surface.extent
         links.surfaces = address_of(given.addresses)
         links.keep_alive(surfaces=given)
     return memory

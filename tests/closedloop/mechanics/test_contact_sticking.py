@@ -80,12 +80,14 @@ def test_the_normal_force_of_a_soft_contact_is_what_it_is_known_to_be():
     np.testing.assert_allclose((c.a + c.X @ (c.X.T @ acts))[3:], 0.0, atol=1e-10)
 
 
-def test_gap_and_rate_of_an_open_contact_are_those_of_its_rows():
+@pytest.mark.parametrize("limits", [{"clear": -1e9}, {"beyond": 0.0}], ids=["above", "apart"])
+def test_gap_and_rate_of_an_open_contact_are_those_of_its_rows(limits):
     """Of points on bodies that move, against the ground and against each other, in any posture."""
     problem = cl.prepare(cl.load_scenario("tower"))
     rng = np.random.default_rng(5)
     whole, open_ones = (make_loop_memory(problem.robot.tree, problem.placed.rows.bound) for _ in range(2))
-    open_ones.rows.clear[:] = -np.inf
+    for name, value in limits.items():
+        getattr(open_ones.rows, name)[:] = value
     open_ones.rows.G[:] = 7.0
     for _ in range(3):
         for memory in (whole, open_ones):

@@ -7,9 +7,10 @@ from random_contacts import random_bodies
 
 import closedloop as cl
 from closedloop.jit.kernel import entry_kernel
-from closedloop.mechanics.contacts.joint_space import IN_CONE, PUSHES, solve_in_joint_space
+from closedloop.mechanics.contacts.joint_space import IN_CONE, PUSHES, solve_step
 from closedloop.mechanics.contacts.memory import contacts_at, make_contact_memory
-from closedloop.mechanics.limits import FIRST_RHO
+from closedloop.mechanics.limits import NEAR
+from closedloop.mechanics.surface.placed import PlacedSurface
 from validation.speed.scenes import scenario_of
 
 G = 9.81
@@ -20,7 +21,7 @@ VISCOUS = {"friction.kind": "coulomb_viscous", "friction.coefficient": 0.3, "fri
 def solve_at(address):
     """Solve the problem in joint space of a memory of contacts, of which all take part."""
     links, c = contacts_at(address)
-    return 1 if solve_in_joint_space(c.stepping, links.k, links.n, FIRST_RHO) else 0
+    return 1 if solve_step(c.stepping, links.k, links.n) else 0
 
 
 def test_impulses_keep_cones_and_complementarity():
@@ -44,7 +45,7 @@ def test_impulses_keep_cones_and_complementarity():
         work = np.abs(np.sum(P * u, axis=1) + mu * slip * P[:, 0]) / (size * speed)
         worst = max(worst, np.max(-u[:, 0]) / speed, np.max(work))
     assert found >= 295
-    assert worst < 1e-4
+    assert worst < 2.0 * NEAR  # the residual, in impulses, is at most NEAR
 
 
 @pytest.mark.parametrize(("mu", "angle"), [(0.3, 0.2), (0.3, 0.5), (0.0, 0.4)])
@@ -149,3 +150,32 @@ def test_linear_loops_are_refused():
     """Impulses have no linear loop: one line says so, and what has."""
     with pytest.raises(cl.ScenarioError, match=r"finds impulses, .* use 'semi_implicit_euler' or 'rk4'"):
         cl.linearise(cl.load_scenario("quadruped", {"time.integrator": "time_stepping"}))
+
+
+def test_corners_beside_a_body_of_the_same_width_do_not_clamp_it():
+    """Dominoes fall as they do in half the step: corners that slide along the sides of the next are not pressed.
+
+    Whatever presses them on both sides alike keeps the conditions of contact: a continuum of solutions, of which one
+    has a reason. With others this row comes to rest leaning.
+    """
+    ends = []
+    for step in (1e-3, 5e-4):
+        scenario = scenario_of("dominoes").replace({"time.duration": 0.45, "time.step": step})
+        run = cl.simulate(scenario, engine="compiled")
+        ends.append(run.kinetic_energy[-1] + run.potential_energy[-1])
+    assert ends[0] == pytest.approx(ends[1], abs=1e-4)  # as errors of first order are
+    assert ends[0] < 0.98  # J; leaning they have 0.9818
+
+
+def test_pairs_that_are_far_apart_are_left_out_without_a_trace(monkeypatch):
+    """Boxes in a bin move to the bit as when each corner and edge of all pairs is looked at."""
+    scenario = scenario_of("bin_4").replace({"time.duration": 0.35})
+    some = cl.simulate(scenario, engine="compiled")
+    monkeypatch.setattr(PlacedSurface, "extent", np.inf)
+    monkeypatch.setattr("closedloop.simulation.engines.bind_contacts.reach_of_edges", lambda edge: np.inf)
+    every = cl.simulate(scenario, engine="compiled")
+    assert np.any(some.link_forces > 0.0)
+    np.testing.assert_array_equal(some.q, every.q)
+    np.testing.assert_array_equal(some.link_forces, every.link_forces)
+    np.testing.assert_allclose(some.link_gaps, every.link_gaps, rtol=0.0, atol=1e-15)
+    np.testing.assert_allclose(some.link_slips, every.link_slips, rtol=0.0, atol=1e-13)

@@ -51,7 +51,7 @@ SPACING, FEWEST, MOST = 0.01, 8, 4096
 # Longest curve, m: the inverse kinematics follows none that is longer.
 LONGEST = 10.0
 # Newton steps that put a point back, from no farther than an integration step is off.
-TENTH = 3
+NEWTON_STEPS = 3
 
 
 @dataclass(frozen=True)
@@ -183,7 +183,7 @@ class Rolling:
 
     def _put_back(self, done: float) -> None:
         """Put the point onto its level of φ, and the tangents into the plane there, at right angles."""
-        for _ in range(TENTH):
+        for _ in range(NEWTON_STEPS):
             n, _, level, size = self._shape(self.r, np.zeros(3))
             if not np.all(np.isfinite(n)):
                 raise _left(self.r, done)

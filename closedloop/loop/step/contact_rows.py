@@ -95,9 +95,9 @@ def locate_points(links: ContactLinks, c: Contacts, w: Work, constants: Constant
     for j in range(links.n):
         rows.q[j], rows.v[j] = w.q[j], w.v[j]
     for i in range(1, links.points):
-        rows.clear[3 * (i - 1)], rows.beyond[3 * (i - 1)] = clear_gap(links, c, i), math.inf
-        if c.mode[i] == FREE and c.friction.pulls[i] == 0.0:
-            rows.beyond[3 * (i - 1)] = c.gaps.extent[i] + c.step.reach
+        parted = c.mode[i] == FREE and c.friction.pulls[i] == 0.0
+        rows.clear[3 * (i - 1)] = clear_gap(links, c, i) if parted else math.inf
+        rows.beyond[3 * (i - 1)] = c.gaps.extent[i] + c.step.reach if parted else math.inf
     locate_rows(joints, rows)
     for i in range(1, links.points if links.shapes != 0 else 0):
         shapes = shapes_at(links.shapes)
@@ -146,11 +146,13 @@ def resolution(constants: Constants, state: State) -> float:
 
 @kernel
 def clear_gap(links: ContactLinks, c: Contacts, i: int) -> float:
-    """Return the gap above which contact i, of a point with a plane, is open: its rows are then not needed, only it.
+    """Return the gap above which contact i, which has parted, is open: its rows are then not needed, only it.
+
+    Of a surface that is asked for its normal, and of what rolls, they are at any gap.
 
     Of edges none are needed until some may cross, see `closedloop.mechanics.contacts.edges.write_edge_rows`.
     """
-    if c.mode[i] != FREE or c.friction.pulls[i] != 0.0 or asked(links, i):
+    if asked(links, i):
         return math.inf
     if links.shapes != 0 and has_edge(shapes_at(links.shapes), i):
         return -math.inf

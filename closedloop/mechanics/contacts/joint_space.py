@@ -44,6 +44,7 @@ from closedloop.mechanics.limits import (
     VANISHING,
     WIDENING,
 )
+from closedloop.mechanics.loops.solve import dot
 
 N, K = Count.of("n"), Count.of("k")
 
@@ -219,7 +220,7 @@ def add_off(s: JointSpace, a: int, n: int, y: Array) -> float:
         x0, x1, x2 = row_of(s.X, 3 * i), row_of(s.X, 3 * i + 1), row_of(s.X, 3 * i + 2)
         for j in range(int(s.first[i]), int(s.end[i])):
             s.off[j] -= x0[j] * p0 + x1[j] * p1 + x2[j] * p2
-    return dot_of(s.off, n)
+    return float(dot(s.off, s.off, n))
 
 
 @kernel
@@ -432,19 +433,15 @@ def find_least(s: JointSpace, a: int, n: int) -> bool:
     It is Π(X λ), the nearest in the cones, of a λ for which Newton's method starts at the last y / −ρ: that of the
     shortest outside. Of bilateral contacts and resistances P is in the cones, and nearly the shortest.
     """
-    s.held, s.associated, s.alike, size = 1.0, 1.0, 1.0, 0.0
+    s.held, s.associated, s.alike, size = 1.0, 1.0, 1.0, dot(s.wanted, s.wanted, n)
     for j in range(n):
-        size += s.wanted[j] * s.wanted[j]
         s.y[j] *= -s.largest
     for r in range(3 * a):
         s.P[r], s.q[r] = 0.0, 0.0
     s.residual, s.asked = FOUND, math.sqrt(size * s.largest)
     do_round(s, a, n, 1.0, False, SMALL * SMALL)
-    left = 0.0
-    for j in range(n):
-        left += s.off[j] * s.off[j]
     s.held = 0.0
-    return bool(left <= VANISHING * VANISHING * size)
+    return bool(dot(s.off, s.off, n) <= VANISHING * VANISHING * size)
 
 
 @kernel
@@ -510,8 +507,8 @@ def solve_softly(s: JointSpace, a: int, n: int, rounds: int = 1) -> bool:
 def do_round(s: JointSpace, a: int, n: int, stiffness: float, lagged: bool = True, leaves: float = TENTH) -> None:
     """Do a round of the proximal point method: write the P that is nearest, from P, and y and u of it.
 
-    With μ|u_t| of the u that is written, if it lags, else of the round's end; of its equations it leaves a share. Where
-    it does not lag a step of Newton's method is halved until less is off.
+    With μ|u_t| of the u that is written, if it lags and that is more, else of the round's end; of its equations it
+    leaves a share. Where it does not lag a step of Newton's method is halved until less is off.
     """
     s.lagged, most = 1.0 if lagged else 0.0, 0.0
     for i in range(a):
@@ -526,7 +523,7 @@ def do_round(s: JointSpace, a: int, n: int, stiffness: float, lagged: bool = Tru
         last = square
         if lagged:
             slope, square = search(s, a, n, stiffness)
-            if not (square < last or slope < -EXACT * EXACT * dot_of(s.y, n)):
+            if not (square < last or slope < -EXACT * EXACT * dot(s.y, s.y, n)):
                 break
             continue
         share = 1.0
@@ -548,25 +545,13 @@ def do_round(s: JointSpace, a: int, n: int, stiffness: float, lagged: bool = Tru
 
 
 @kernel
-def dot_of(x: Array, n: int) -> float:
-    """Return |x|² of x (n,)."""
-    square = 0.0
-    for j in range(n):
-        square += x[j] * x[j]
-    return square
-
-
-@kernel
 def search(s: JointSpace, a: int, n: int, stiffness: float) -> tuple[float, float]:
     """Go along the step to where what is off is across it: the least, there, of a convex function with `off` as slope.
 
     Writes y, u, Π and `off` there; returns the slope along the step where it began, and the square of what is off.
     """
-    began, square, growth, share, low, high = 0.0, 0.0, 0.0, 1.0, 0.0, math.inf
-    for j in range(n):
-        began += s.off[j] * s.step[j]
-        square += s.step[j] * s.step[j]
-        growth += (s.y[j] if s.held == 0.0 else s.wanted[j]) * s.step[j]
+    began, square, share, low, high = dot(s.off, s.step, n), dot(s.step, s.step, n), 1.0, 0.0, math.inf
+    growth = dot(s.y, s.step, n)
     for i in range(a):
         at, x0, x1, x2 = 3 * i, row_of(s.X, 3 * i), row_of(s.X, 3 * i + 1), row_of(s.X, 3 * i + 2)
         c0 = c1 = c2 = 0.0
@@ -575,9 +560,7 @@ def search(s: JointSpace, a: int, n: int, stiffness: float) -> tuple[float, floa
         s.change[at], s.change[at + 1], s.change[at + 2] = c0, c1, c2
     gone = 0.0
     for _ in range(HALVINGS):
-        slope, steeper = growth, 0.0
-        if s.held == 0.0:
-            slope, steeper = slope + share * square, square
+        slope, steeper = growth + share * square, square
         for i in range(a):
             at, rho, J = 3 * i, rho_of(s, i, stiffness), s.slope[i]
             for r in range(at, at + 3):

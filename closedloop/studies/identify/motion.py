@@ -137,6 +137,15 @@ def usual_cutoff(log: Log) -> float:
     return float(min(ABOVE_MOTION * max(highest, f[1]), 0.2 / step))
 
 
+def speed_noise(log: Log, cutoff: float) -> Array:
+    """Return the standard deviation (n,) of the speeds of a log's motion, rad/s (m/s), by the noise of its positions.
+
+    A count passes the filter as a pulse of about one count times the cut-off.
+    """
+    white = 2.0 * np.pi * white_noise(log.q) * np.sqrt(2.0 * log.step * cutoff**3 / 3.0)
+    return np.asarray(np.maximum(white, count_of(log.q) * cutoff))
+
+
 def motion(log: Log, cutoff: float, half: int | None = None) -> Motion:
     """Return the motion and the torques of a log.
 
@@ -172,11 +181,9 @@ def motion(log: Log, cutoff: float, half: int | None = None) -> Motion:
     at = edge + (stride - 1) // 2 + stride * np.arange(count * size)
     used = slice(edge, edge + count * size * stride)
     averaged = (count, size * stride)
-    noise = 2.0 * np.pi * white_noise(log.q) * np.sqrt(2.0 * step * cutoff**3 / 3.0)
-    noise = np.maximum(noise, count_of(log.q) * cutoff)  # a count passes the filter as a pulse of about this speed
     return Motion(
         filtered[at], v[at], a[at],
         log.time[used].reshape(averaged).mean(axis=1),
         log.torque[used].reshape(*averaged, -1).mean(axis=1),
-        size, noise, white_noise(log.torque) / np.sqrt(size * stride), cutoff,
+        size, speed_noise(log, cutoff), white_noise(log.torque) / np.sqrt(size * stride), cutoff,
     )  # fmt: skip

@@ -39,6 +39,7 @@ from closedloop.studies.identify.motion import (
     count_of,
     half_of,
     motion,
+    speed_noise,
     usual_cutoff,
     white_noise,
 )
@@ -185,7 +186,7 @@ class Windows:
         if cutoff is None:  # slow motions too need windows enough
             cutoff = max(usual_cutoff(log), 0.5 * WINDOWS / (touch.time[-1] - touch.time[0]))
         x, even, odd = (motion(replace(log, q=place), cutoff) for place in touch.between)
-        x = replace(x, noise=motion(log, cutoff).noise)
+        x = replace(x, noise=speed_noise(log, cutoff))
         return cls(x, even, odd, touch, cutoff)
 
     def mean(self, rows: Array) -> Array:

@@ -8,7 +8,8 @@
     cylinder            the edge of either end, and three points of it, on which it stands
 
 With a plane that is all that can touch. With a curved or moving surface balls and points are what can touch it.
-Two links touch by `pair_of`: balls, corners and edges of the one with the other.
+Two links touch by `pair_of`: balls, corners and edges of the one with the other; with time stepping two boxes touch in
+eight points at most, wherever these are.
 """
 
 from typing import Any
@@ -17,7 +18,9 @@ import numpy as np
 
 from closedloop.base.arrays import Array
 from closedloop.base.errors import ModelError, ScenarioError
-from closedloop.mechanics.contacts.sections import COLLISION, ContactSection, EdgeSection
+from closedloop.mechanics.contacts.sections import COLLISION, BoxSection, ContactSection, EdgeSection
+from closedloop.mechanics.integrators import steps_impulses
+from closedloop.mechanics.loops.boxes import MOST_POINTS
 from closedloop.mechanics.surface.kinds.box import Box
 from closedloop.mechanics.surface.kinds.capsule import Capsule
 from closedloop.mechanics.surface.kinds.sphere import Sphere
@@ -47,7 +50,7 @@ def with_collision_shapes(scenario: Scenario, model: RobotModel) -> Scenario:
             found.append(section if section.name else section.model_copy(update={"name": name}))
             continue
         if section.onto == COLLISION:
-            parts = _pairs(section, model, name)
+            parts = _pairs(section, model, name, steps_impulses(scenario.time.integrator))
         else:
             parts = [part for shape in _shapes(section, model, name) for part in parts_of(shape, f"contact {name!r}")]
         names = [name] if len(parts) == 1 else [f"{name} {k}" for k in range(1, len(parts) + 1)]
@@ -55,7 +58,7 @@ def with_collision_shapes(scenario: Scenario, model: RobotModel) -> Scenario:
     return scenario.model_copy(update={"contact": tuple(found)})
 
 
-def _pairs(section: ContactSection, model: RobotModel, name: str) -> list[dict[str, Any]]:
+def _pairs(section: ContactSection, model: RobotModel, name: str, stepping: bool) -> list[dict[str, Any]]:
     """Return the contacts of the collision shapes of two links."""
     if section.against == WORLD:
         raise ScenarioError(f"contact {name!r}: onto = {COLLISION!r}: the world has no collision shapes: name a link")
@@ -71,7 +74,8 @@ def _pairs(section: ContactSection, model: RobotModel, name: str) -> list[dict[s
                         f"contact {name!r}: onto = {COLLISION!r}: a {kind} touches planes and other surfaces only: "
                         "shapes of two links may be boxes, spheres and capsules"
                     )
-            parts += pair_of(shape, other, section.link, section.against)
+            boxes = stepping and shape.kind == other.kind == "box" and not section.resists
+            parts += (points_of_boxes if boxes else pair_of)(shape, other, section.link, section.against)
     return [{"onto": "surface"} | part for part in parts]
 
 
@@ -161,6 +165,14 @@ def _is_hollow(shape: CollisionShape) -> bool:
 
 
 Parts = list[dict[str, Any]]
+
+
+def points_of_boxes(one: CollisionShape, other: CollisionShape, link: str, against: str) -> Parts:
+    """Return the contacts of the points in which two boxes touch, as keys of their sections."""
+    links: dict[str, Any] = {"link": link, "against": against}
+    places = {"at": _numbers(one.place[:3, 3]), "through": _numbers(other.place[:3, 3])}
+    axes = {"half": _axes(one), "onto": _axes(other)}
+    return [links | places | {"box": BoxSection.model_validate(axes | {"point": m})} for m in range(MOST_POINTS)]
 
 
 def pair_of(one: CollisionShape, other: CollisionShape, link: str, against: str) -> Parts:

@@ -85,6 +85,16 @@ class EdgeSection(Section):
         return self
 
 
+class BoxSection(Section):
+    """contact.box: a box of the link about `at`, which touches a box about `through`; with time stepping."""
+
+    half: tuple[HalfAxis, HalfAxis, HalfAxis] = Field(description="half axes of the box, m, axes of the frame link")
+    onto: tuple[HalfAxis, HalfAxis, HalfAxis] = Field(description="of the other box, m, axes of the frame against")
+    point: Annotated[int, Field(ge=0, le=7)] = Field(
+        0, description="which of the points of the two, of 0 to 7; one contact for each, in this order"
+    )
+
+
 class ContactSection(Section):
     """[[contact]]: a point or a round shape of a link that touches a surface of another link, or of the world."""
 
@@ -107,6 +117,7 @@ class ContactSection(Section):
     edge: EdgeSection | None = Field(
         None, description="an edge about the point, which crosses edges of the frame against"
     )
+    box: BoxSection | None = Field(None, description="a box about the point, which touches a box of the frame against")
     onto: Literal["surface", "collision"] = Field(
         "surface", description='"collision": it touches the collision shapes of the link against, not its surface'
     )

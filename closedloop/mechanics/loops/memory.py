@@ -8,6 +8,7 @@ from closedloop.base.arrays import Array, IntArray
 from closedloop.jit.blocks import Block, Count
 from closedloop.jit.calls import address_of, integers_at, vector_at
 from closedloop.jit.kernel import kernel, plain
+from closedloop.mechanics.loops.boxes import BoxPair
 from closedloop.mechanics.loops.moved import MovedFrame, add_frames
 from closedloop.mechanics.robot.tree import LINK_ROWS, Tree, work_size
 from closedloop.mechanics.robot.tree.layout import SCRATCHES
@@ -55,7 +56,7 @@ class LoopRows(Block, sizes=("n", "m")):
     at_b: Annotated[Array, M, 3]
     along_a: Annotated[Array, M, 3]  # and a direction
     along_b: Annotated[Array, M, 3]
-    value: Annotated[Array, M, 5]  # a distance, m, or the polynomial of a gear
+    value: Annotated[Array, M, 5]  # a distance, m, the polynomial of a gear, or half the edges of a box, m
     first: Annotated[Array, M, N]  # of a gear the coefficients of the joints in x1 and in x2
     second: Annotated[Array, M, N]
     scale: Annotated[Array, M]  # one over the usual length of each row
@@ -89,6 +90,7 @@ class LoopRows(Block, sizes=("n", "m")):
     still: Annotated[Array, N]  # scratch: a velocity of none
     motions: Annotated[Array, 2, 18]  # scratch: see `closedloop.mechanics.loops.rows`, as the next
     directions: Annotated[Array, 3, 9]  # of the rows of a point, with their first and second derivatives
+    pair: BoxPair  # that was located last
     near_q: Annotated[
         Array, N
     ]  # scratch, as all that follow: a state near by, see `closedloop.mechanics.loops.passing`
@@ -100,7 +102,7 @@ class LoopRows(Block, sizes=("n", "m")):
 LOOP_LINKS = LoopLinks.count()
 
 # Kinds of rows, see `closedloop.mechanics.loops.rows`.
-POSITION, ROTATION, DISTANCE, GEAR, IDLE = range(5)
+POSITION, ROTATION, DISTANCE, GEAR, IDLE, BOXES = range(6)
 # What is written of a point.
 ROWS, RATES, ERRORS, NOTHING = range(4)
 

@@ -1,12 +1,13 @@
 """The rows of loop joints at a state: G q̇ = 0 and G q̈ = −drift, with their error and its rate (Eqs. 1-6).
 
-A row is of one of five kinds. With a and b points of either side, and u and w directions fixed to them,
+A row is of one of six kinds. With a and b points of either side, and u and w directions fixed to them,
 
     POSITION    e = u·(a − b)       u fixed to the side of b: the two points stay together along u
     ROTATION    e = u·w             the two directions stay perpendicular
     DISTANCE    e = |a − b| − l
     GEAR        e = x1 − P(x2)      P a polynomial, x1 and x2 sums of coefficients times joint positions
     IDLE        zeros               what no joint of the tree can move, as across a planar mechanism
+    BOXES       e = n·(a − b)       three rows of each point in which two boxes touch, along n, t1 and t2
 
 A loop joint of the paper is a set of them: its R (Eq. 2) has the forces of these rows as columns, and the drift is its
 Ṙᵀ(vₙ − v₀) + Rᵀ(aₙ − a₀) at q̈ = 0 (Eqs. 3, 5).
@@ -17,7 +18,9 @@ import math
 from closedloop.base.arrays import Array
 from closedloop.jit.calls import integers_at, row_of, vector_at
 from closedloop.jit.kernel import kernel, kernel_inlined
+from closedloop.mechanics.loops.boxes import MOST_POINTS, NOWHERE, touch_boxes
 from closedloop.mechanics.loops.memory import (
+    BOXES,
     DISTANCE,
     ERRORS,
     GEAR,
@@ -73,6 +76,9 @@ def _locate(links: LoopLinks, rows: LoopRows, moving: bool) -> None:
     for k in range(links.m):
         kind, one, other = sides[k], sides[links.m + k], sides[2 * links.m + k]
         if sides[3 * links.m + k] != 0:  # located with the row before it
+            continue
+        if kind == BOXES:
+            _boxes(tree, work, rows, k, (one, other))
             continue
         if kind == POSITION:
             count = 1
@@ -164,6 +170,45 @@ def _positions(
             for i in range(3):
                 drift += c[i] * (a[ACCELERATION + i] - b[ACCELERATION + i])
             rows.drift[k + r] = drift
+
+
+@kernel
+def _boxes(tree: Tree, work: Array, rows: LoopRows, k: int, ends: tuple[int, int]) -> None:
+    """Write the rows from k on of the points in which two boxes touch: of those that are not `clear` all but the drift.
+
+    The first that there is not has the gap of the boxes, if it is the first of all; the others are NOWHERE.
+    """
+    a, b, u, p, (one, other) = row_of(rows.motions, 0), row_of(rows.motions, 1), rows.directions, rows.pair, ends
+    _move_point(tree, work, one, row_of(rows.at_a, k), a, False)
+    _move_point(tree, work, other, row_of(rows.at_b, k), b, False)
+    for i in range(3):
+        p.half_a[i], p.half_b[i], p.apart[i] = rows.value[k, i], rows.value[k + 1, i], a[POINT + i] - b[POINT + i]
+        carry_direction(tree, work, one, row_of(rows.along_a, k + i), row_of(p.axes_a, i))
+        carry_direction(tree, work, other, row_of(rows.along_b, k + i), row_of(p.axes_b, i))
+    count, apart = touch_boxes(p)
+    for r in range(3):
+        for i in range(3):
+            u[r, i] = p.frame[r, i]
+    for m in range(MOST_POINTS):
+        first = k + 3 * m
+        had, there = rows.written[first] == ROWS, m < count
+        for r in range(first, first + 3):
+            rows.error[r] = rows.rate[r] = rows.drift[r] = 0.0
+            for j in range(tree.n if had else 0):
+                rows.G[r, j] = 0.0
+        rows.error[first] = p.gaps[m] if there else (apart if m == 0 else NOWHERE)
+        rows.written[first] = ROWS if there and not rows.error[first] > rows.clear[first] else NOTHING
+        if not there:
+            continue
+        for i in range(3):
+            a[POINT + i] = b[POINT + i] + p.points[m, i]
+        rows_of_point = 3 if rows.written[first] == ROWS else 0
+        _along_joints(tree, work, one, a, 1.0, rows, first, rows_of_point)
+        x, y, z = a[VELOCITY], a[VELOCITY + 1], a[VELOCITY + 2]
+        _along_joints(tree, work, other, a, -1.0, rows, first, rows_of_point)
+        x, y, z = x - a[VELOCITY], y - a[VELOCITY + 1], z - a[VELOCITY + 2]
+        for r in range(3):
+            rows.rate[first + r] = u[r, 0] * x + u[r, 1] * y + u[r, 2] * z
 
 
 @kernel

@@ -11,6 +11,7 @@ from closedloop.mechanics.contacts.edges import E1, ROUND1, choose_crossing, edg
 from closedloop.mechanics.contacts.rolling import SHAPE, lowest_point, make_shape_memory, shape_of
 from closedloop.mechanics.contacts.surfaces import surface_of
 from closedloop.mechanics.integrators import ADAPTIVE
+from closedloop.mechanics.loops.boxes import BoxPair, touch_boxes
 from closedloop.mechanics.surface.placed import PlacedSurface, contact_frame, unit
 from closedloop.record.columns.record import Record
 from closedloop.scenario.scenario import Scenario
@@ -34,11 +35,13 @@ class Touching(NamedTuple):
     surface: PlacedSurface | None
     shape: Array
     edge: Array | None = None  # see `closedloop.mechanics.contacts.edges`
+    # half axes of two boxes (2, 3, 3) in axes of either frame, and which of the points in which they touch
+    box: tuple[Array, int] | None = None
 
     @property
     def flat(self) -> bool:
         """Whether a point touches a plane, so that `force` takes any number of rows at once."""
-        return self.surface is None and self.edge is None and not np.any(self.shape)
+        return self.surface is None and self.edge is None and self.box is None and not np.any(self.shape)
 
     def force(
         self, normal: Array | float, friction: Array, axes: Array, origins: Array, t: float = 0.0
@@ -62,6 +65,8 @@ class Touching(NamedTuple):
         turn, frame = axes[..., self.plane_frame, :, :], self.axes
         if self.edge is not None:
             return self._of_edges(place, float(normal), friction, axes, origins)
+        if self.box is not None:
+            return self._of_boxes(place, float(normal), friction, axes, origins)
         if self.surface is not None:
             within = self.axes @ (turn.T @ (place - origins[self.plane_frame]) - self.origin)
             frame = self.surface.frame_at_rest(within, t) @ self.axes
@@ -83,6 +88,20 @@ class Touching(NamedTuple):
         for k in np.flatnonzero((normals != 0.0) | np.any(frictions != 0.0, axis=1)):
             places[k], forces[k] = self.force(float(normals[k]), frictions[k], axes[k], origins[k], float(times[k]))
         return places, forces
+
+    def _of_boxes(
+        self, place: Array, normal: float, friction: Array, axes: Array, origins: Array
+    ) -> tuple[Array, Array]:
+        """Return what `force` does of two boxes, that of the link with its middle at `place` (3,), m."""
+        assert self.box is not None
+        pair, (halves, m), turn = BoxPair(np.zeros(BoxPair.count())), self.box, axes[self.plane_frame]
+        middle = origins[self.plane_frame] + turn @ self.origin
+        pair.half_a[:], pair.half_b[:] = np.linalg.norm(halves, axis=2)
+        pair.axes_a[:] = halves[0] @ axes[self.point_frame].T / pair.half_a[:, None]
+        pair.axes_b[:] = halves[1] @ turn.T / pair.half_b[:, None]
+        pair.apart[:] = place - middle
+        interpreted(touch_boxes)(pair)
+        return middle + pair.points[m], np.array([normal, *friction]) @ pair.frame
 
     def _of_edges(
         self, place: Array, normal: float, friction: Array, axes: Array, origins: Array
@@ -218,13 +237,17 @@ def contacts_of(scenario: Scenario, mechanism: Any) -> tuple[Touching, ...]:
         surface = surface_of(section, name)
         axes = (
             np.eye(3)
-            if surface is not None or section.edge is not None
+            if surface is not None or section.edge is not None or section.box is not None
             else contact_frame(unit(section.normal, "normal"))
         )
         at, shape = origin + rotation @ np.array(section.point), shape_of(section, rotation)
-        edge = None
+        edge, box = None, None
+        if section.box is not None:
+            place = place + turned @ np.array(section.through)
+            halves = np.array([np.array(section.box.half) @ rotation.T, np.array(section.box.onto) @ turned.T])
+            box = halves, section.box.point
         if section.edge is not None:
             shape, edge = np.zeros(SHAPE), edges_of(section, rotation)
             place = place + turned @ np.array(section.through)
-        found.append(Touching(name, joint, at, other, axes @ turned.T, place, surface, shape, edge))
+        found.append(Touching(name, joint, at, other, axes @ turned.T, place, surface, shape, edge, box))
     return tuple(found)

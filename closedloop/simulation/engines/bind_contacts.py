@@ -36,16 +36,18 @@ from closedloop.mechanics.contacts.rolling import (
     square_of,
     turn_against,
 )
-from closedloop.mechanics.contacts.sections import ContactSection
+from closedloop.mechanics.contacts.sections import BoxSection, ContactSection
 from closedloop.mechanics.contacts.soft import compliances_of, depth_entry, is_soft
 from closedloop.mechanics.contacts.surfaces import check_surface, contact_surfaces, surface_of, surfaces_of
 from closedloop.mechanics.friction.contact import Contact
 from closedloop.mechanics.friction.law import SurfaceFriction
 from closedloop.mechanics.friction.laws.coulomb import SurfaceCoulomb
 from closedloop.mechanics.friction.laws.none import NoFriction
+from closedloop.mechanics.integrators import steps_impulses
 from closedloop.mechanics.limits import CLOSED_GAP, HOVERING
 from closedloop.mechanics.loops.bind import link_poses
-from closedloop.mechanics.loops.memory import POSITION, Bound, LoopMemory, bound_points, make_loop_memory
+from closedloop.mechanics.loops.boxes import MOST_POINTS
+from closedloop.mechanics.loops.memory import BOXES, POSITION, ROWS, Bound, LoopMemory, bound_points, make_loop_memory
 from closedloop.mechanics.loops.rows import locate_rows
 from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.mechanics.robot.tree.layout import (
@@ -304,25 +306,30 @@ def stops_at_start(memory: ContactMemory, constants: Constants, q: Array, v: Arr
 def bind_rows(sections: tuple[ContactSection, ...], robot: Robot) -> Bound:
     """Return the rows of each contact, see `ContactRows`."""
     poses = link_poses(robot.tree, robot.model.loop_home)
-    sides: list[tuple[int, int]] = []
-    at_a, at_b, along = [], [], []
+    sides: list[tuple[int, int, int, int]] = []
+    at_a, at_b, along, along_a, half = [], [], [], [], []
     for section, name in zip(sections, names_of(sections), strict=True):
-        a, _, point = placed_on_link(robot, poses, section.link, section.point, f"contact {name!r}: link")
-        flat = surface_of(section, name) is None and section.edge is None
-        origin = section.through if flat or section.edge else (0.0, 0.0, 0.0)
+        a, turn, point = placed_on_link(robot, poses, section.link, section.point, f"contact {name!r}: link")
+        flat = surface_of(section, name) is None and section.edge is None and section.box is None
+        origin = section.through if flat or section.edge or section.box else (0.0, 0.0, 0.0)
         b, axes, plane = placed_on_link(robot, poses, section.against, origin, f"contact {name!r}: against")
         frame = contact_frame(unit(section.normal, f"contact {name!r}: normal")) if flat else np.eye(3)
+        box = section.box
+        halves = (np.array(box.half), np.array(box.onto)) if box else (np.eye(3), np.eye(3))
+        own, other = (h / np.linalg.norm(h, axis=1, keepdims=True) for h in halves)
         for k in range(3):
-            sides.append((a, b))
+            kind = POSITION if box is None else BOXES
+            sides.append((kind, a, b, int(k > 0 or (box is not None and box.point > 0))))
             at_a.append(point)
             at_b.append(plane)
-            along.append(axes @ frame[k])
+            along.append(axes @ (frame[k] if box is None else other[k]))
+            along_a.append(turn @ own[k])
+            half.append(np.pad(np.linalg.norm(halves[min(k, 1)], axis=1), (0, 2)))
     m = len(sides)
-    kinds = np.array(
-        [*[POSITION] * m, *(a for a, _ in sides), *(b for _, b in sides), *[0, 1, 1] * len(sections)], dtype=np.int64
-    )
+    kinds = np.array(sides, dtype=np.int64).reshape(m, 4).T.ravel()
     points_a, points_b, directions = (np.array(rows, dtype=np.float64).reshape(m, 3) for rows in (at_a, at_b, along))
-    return bound_points(robot.n, kinds, points_a, points_b, directions)
+    bound = bound_points(robot.n, kinds, points_a, points_b, directions)
+    return bound._replace(along_a=np.array(along_a).reshape(m, 3), value=np.array(half).reshape(m, 5))
 
 
 def shapes_of(sections: tuple[ContactSection, ...], robot: Robot) -> tuple[Array, Array]:
@@ -387,6 +394,8 @@ def contact_rows(scenario: Scenario, robot: Robot) -> ContactRows:
     for name, section in zip(names, sections, strict=True):
         if section.link == section.against:
             raise ScenarioError(f"contact {name!r}: link and against are both {section.link!r}: name two frames")
+        if section.box is not None and not steps_impulses(scenario.time.integrator):
+            raise ScenarioError(f"contact {name!r}: box: must be left out; time.integrator = 'time_stepping' has it")
         if section.link in moved:
             raise ScenarioError(
                 f"contact {name!r}: link {section.link!r} moves as a [[mocap]] says: name it as against"
@@ -396,7 +405,24 @@ def contact_rows(scenario: Scenario, robot: Robot) -> ContactRows:
                 f"contact {name!r}: {section.against!r} moves as a [[mocap]] says: give the contact that motion too, "
                 "in the axes of this frame at the start"
             )
+    for k, (name, section) in enumerate(zip(names, sections, strict=True)):
+        if section.box is not None and not stands_in_order(sections, k, section.box):
+            raise ScenarioError(
+                f"contact {name!r}: box: two boxes have a contact for each point, from 0 to 7, one after the other"
+            )
     return ContactRows(bind_rows(sections, robot), *shapes_of(sections, robot))
+
+
+def stands_in_order(sections: tuple[ContactSection, ...], k: int, box: BoxSection) -> bool:
+    """Whether contact k, of two boxes, stands between those of the points before and after its own."""
+    for j, point in ((k - 1, box.point - 1), (k + 1, box.point + 1)):
+        if 0 <= point < MOST_POINTS:
+            beside = {"box": box.model_copy(update={"point": point}), "name": ""}
+            if not 0 <= j < len(sections) or sections[j].model_copy(update={"name": ""}) != sections[k].model_copy(
+                update=beside
+            ):
+                return False
+    return True
 
 
 def placed_contacts(scenario: Scenario, robot: Robot, on: ContactRows, q: Array) -> ContactPlaces:
@@ -442,6 +468,10 @@ def start_places(
     surfaces, places = surfaces_of(sections, names), []
     for i, (name, section) in enumerate(zip(names, sections, strict=True)):
         place, surface = rows.rows.error[3 * i : 3 * i + 3], surfaces.get(i + 1)
+        if section.box is not None:
+            there = rows.rows.written[3 * i] == ROWS  # these rows are along the normal already
+            places.append((float(place[0]), math.inf if there else -1.0, np.eye(3)[0]))
+            continue
         if section.edge is not None:
             interpreted(turn_against)(rows.links, rows.rows, 3 * i, shapes)
             interpreted(choose_crossing)(shapes, i + 1, place, True, -1)

@@ -3,7 +3,8 @@
 The normal is that of a face of either box, or is at right angles to an edge of each (S. Gottschalk, M. C. Lin, D.
 Manocha, SIGGRAPH 1996). Of a face the points are those of the face of the other box that is turned towards it, cut off
 at its sides (I. E. Sutherland, G. W. Hodgman, Commun. ACM 17, 1974): eight at most. Of edges it is the point at which
-they are nearest. All depends on where the boxes are, and on nothing before.
+they are nearest; and where their normal is nearly that of a face, what is less deep in that face, or may come down in a step.
+All depends on where the boxes are, and on nothing before.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from closedloop.base.arrays import Array
 from closedloop.jit.blocks import Block
 from closedloop.jit.calls import row_of
 from closedloop.jit.kernel import kernel
-from closedloop.mechanics.limits import PARALLEL, SLIGHT
+from closedloop.mechanics.limits import MOST_OF, PARALLEL, SLIGHT
 
 # As many points as two boxes touch in.
 MOST_POINTS = 8
@@ -31,7 +32,7 @@ class BoxPair(Block):
     axes_a: Annotated[Array, 3, 3]  # rows
     axes_b: Annotated[Array, 3, 3]
     apart: Annotated[Array, 3]  # from the middle of B to that of A, m
-    frame: Annotated[Array, 3, 3]  # out: n, from B to A, t1, t2
+    frames: Annotated[Array, MOST_POINTS, 3, 3]  # out, of each point: n, from B to A, t1, t2
     points: Annotated[Array, MOST_POINTS, 3]  # from the middle of B, m
     gaps: Annotated[Array, MOST_POINTS]  # m
     turn: Annotated[Array, 3, 3]  # scratch: products of the axes of the box with the face, and those of the other
@@ -74,9 +75,18 @@ def touch_boxes(p: BoxPair) -> tuple[int, float]:
             apart = (apart - a[j1] * abs(R[i, j2]) - a[j2] * abs(R[i, j1])) / math.sqrt(square)
             if apart > best + slight:
                 best, axis = apart, 6 + 3 * i + j
-    if axis >= 6:
-        return touch_edges(p, (axis - 6) // 3, axis % 3, best), best
-    return touch_face(p, axis % 3, axis >= 3), best
+    if axis < 6:
+        return touch_face(p, axis % 3, axis >= 3, 0, -math.inf), best
+    count = touch_edges(p, (axis - 6) // 3, axis % 3, best)
+    if count == 0:
+        return 0, best
+    n, nearest, axis = p.frames[0, 0], MOST_OF, -1
+    for k in range(6):
+        face = row_of(p.axes_b, k) if k < 3 else row_of(p.axes_a, k - 3)
+        along = abs(n[0] * face[0] + n[1] * face[1] + n[2] * face[2])
+        if along > nearest:
+            nearest, axis = along, k
+    return (touch_face(p, axis % 3, axis >= 3, 1, best) if axis >= 0 else 1), best
 
 
 @kernel
@@ -85,7 +95,7 @@ def touch_edges(p: BoxPair, i: int, j: int, apart: float) -> int:
 
     They touch in no point where this is beyond the end of an edge.
     """
-    R, t, N = p.turn, p.middle, p.frame
+    R, t, N = p.turn, p.middle, p.frames[0]
     i1, i2, c = (i + 1) % 3, (i + 2) % 3, R[i, j]
     size = math.sqrt(1.0 - c * c)
     n1, n2 = -R[i2, j] / size, R[i1, j] / size  # e_i × a_j, in axes of B
@@ -118,9 +128,12 @@ def write_last_tangent(N: Array) -> None:
 
 
 @kernel
-def touch_face(p: BoxPair, axis: int, of_a: bool) -> int:
-    """Write frame, points and gaps of a face of A or B across this axis of it; return how many points there are."""
-    R, c, N, P = p.turn, p.middle, p.frame, p.polygon
+def touch_face(p: BoxPair, axis: int, of_a: bool, first: int, least: float) -> int:
+    """Write frame, points and gaps of a face of A or B across this axis of it, from the point `first` on.
+
+    Those alone whose gap is more than the least, m. Returns how many points there are then.
+    """
+    R, c, P = p.turn, p.middle, p.polygon
     face, other, axes, to_base = p.half_b, p.half_a, p.axes_b, 1.0
     if of_a:
         face, other, axes, to_base = p.half_a, p.half_b, p.axes_a, -1.0
@@ -145,16 +158,17 @@ def touch_face(p: BoxPair, axis: int, of_a: bool) -> int:
     count = 4
     for half in range(4):
         count = cut_polygon(p, count, half // 2, 1.0 if half % 2 == 0 else -1.0, face[u] if half < 2 else face[v])
-    for k in range(3):
-        N[0, k], N[1, k] = to_base * side * axes[axis, k], axes[u, k]
-    write_last_tangent(N)
     for m in range(count):
-        p.gaps[m] = P[m, 2]
-        above = side * (face[axis] + P[m, 2])
+        if not P[m, 2] > least or first == MOST_POINTS:
+            continue
+        p.gaps[first], above, N = P[m, 2], side * (face[axis] + P[m, 2]), p.frames[first]
         for k in range(3):
+            N[0, k], N[1, k] = to_base * side * axes[axis, k], axes[u, k]
             from_face = P[m, 0] * axes[u, k] + P[m, 1] * axes[v, k] + above * axes[axis, k]
-            p.points[m, k] = from_face + (p.apart[k] if of_a else 0.0)
-    return count
+            p.points[first, k] = from_face + (p.apart[k] if of_a else 0.0)
+        write_last_tangent(N)
+        first += 1
+    return first
 
 
 @kernel

@@ -186,9 +186,6 @@ def _boxes(tree: Tree, work: Array, rows: LoopRows, k: int, ends: tuple[int, int
         carry_direction(tree, work, one, row_of(rows.along_a, k + i), row_of(p.axes_a, i))
         carry_direction(tree, work, other, row_of(rows.along_b, k + i), row_of(p.axes_b, i))
     count, apart = touch_boxes(p)
-    for r in range(3):
-        for i in range(3):
-            u[r, i] = p.frame[r, i]
     for m in range(MOST_POINTS):
         first = k + 3 * m
         had, there = rows.written[first] == ROWS, m < count
@@ -202,6 +199,8 @@ def _boxes(tree: Tree, work: Array, rows: LoopRows, k: int, ends: tuple[int, int
             continue
         for i in range(3):
             a[POINT + i] = b[POINT + i] + p.points[m, i]
+            for r in range(3):
+                u[r, i] = p.frames[m, r, i]
         rows_of_point = 3 if rows.written[first] == ROWS else 0
         _along_joints(tree, work, one, a, 1.0, rows, first, rows_of_point)
         x, y, z = a[VELOCITY], a[VELOCITY + 1], a[VELOCITY + 2]

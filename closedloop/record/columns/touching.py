@@ -101,7 +101,7 @@ class Touching(NamedTuple):
         pair.axes_b[:] = halves[1] @ turn.T / pair.half_b[:, None]
         pair.apart[:] = place - middle
         interpreted(touch_boxes)(pair)
-        return middle + pair.points[m], np.array([normal, *friction]) @ pair.frame
+        return middle + pair.points[m], np.array([normal, *friction]) @ pair.frames[m]
 
     def _of_edges(
         self, place: Array, normal: float, friction: Array, axes: Array, origins: Array

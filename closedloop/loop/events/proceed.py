@@ -62,7 +62,7 @@ from closedloop.loop.events.phases import (
     TRIAL_END,
     request_terms,
 )
-from closedloop.loop.events.projection import project
+from closedloop.loop.events.projection import project, put_back
 from closedloop.loop.events.query import answer_query
 from closedloop.loop.events.substep import (
     advance_friction,
@@ -230,6 +230,8 @@ def proceed(
             advance(stage, tau, semi_implicit, substep, tableau, w)
         else:
             advance_on_manifold(stage, tau, semi_implicit, substep, tableau, w, constants)
+        if state.settings.time_stepping != 0:
+            put_back(w, constants, state)
         if not semi_implicit:
             advance_decaying(stage, tau, tableau, w)
         finish_stage(w, constants.h, state, tableau)

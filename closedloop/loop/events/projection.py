@@ -112,3 +112,14 @@ def too_far(links: ContactLinks, c: Contacts, w: Work) -> bool:
     for j in range(links.n):
         far = max(far, abs(w.scratch.column[j]))
     return bool(far > FARTHEST * gap)
+
+
+@kernel
+def put_back(w: Work, constants: Constants, state: State) -> None:
+    """Move q by what a step in time puts back of what is deep, see `closedloop.mechanics.contacts.stepping`."""
+    _, c = contacts_at(state.contacts.at)
+    if c.step.shifts == 0.0:
+        return
+    for j in range(w.q.shape[0]):
+        w.scratch.column[j] = c.step.shift[j]
+    move(w, constants)

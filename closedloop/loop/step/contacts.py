@@ -308,6 +308,8 @@ def step_forces(links: ContactLinks, c: Contacts, w: Work, constants: Constants,
         return OK
     locate_joints(links, c, w, constants, state)
     status = begin_step(links, c, w.y, constants.h, constants.rest_speed)
+    if c.step.shifts != 0.0:
+        back_substitute(w.L, c.step.shift, 0, links.n)
     for i in range(links.joints, links.k):
         add_along(constants, i - links.joints, c.F[3 * i + 1], w.joint_friction.torque)
         c.u[3 * i + 1] = 0.0

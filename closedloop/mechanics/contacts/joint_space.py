@@ -35,6 +35,7 @@ from closedloop.mechanics.limits import (
     MOST_OF,
     NEAR,
     NEWTON_STEPS,
+    REFINEMENTS,
     SMALL,
     STEP_RHO,
     STEPS,
@@ -380,24 +381,49 @@ def solve_step(s: JointSpace, a: int, n: int) -> bool:
             s.residual = residual_of(s, a, n)
             if flat:
                 break
-    return bool(s.residual <= NEAR or solve_from_rest(s, a, n))
+    return bool(s.residual <= NEAR or solve_by_sweeps(s, a, n))
 
 
 @kernel
-def solve_from_rest(s: JointSpace, a: int, n: int) -> bool:
-    """Do `solve_step` from no impulses by rounds that do not lag, with ρ that grows, until two do not lessen it."""
-    stiffness, flat = FIRST_RHO, 0
-    start_at_rest(s, a, n)
-    s.residual = residual_of(s, a, n)
-    for _ in range(ITERATIONS):
-        if s.residual <= FOUND or flat == 2:
-            break
-        before = s.residual
-        do_round(s, a, n, stiffness, False, WIDENING)
-        s.residual = residual_of(s, a, n)
-        stiffness = min(WIDENING * stiffness, STEP_RHO)
-        flat = flat + 1 if not s.residual <= MOST_OF * before else 0
-    return bool(s.residual <= NEAR)
+def solve_by_sweeps(s: JointSpace, a: int, n: int) -> bool:
+    """Write P and u of the a contacts from P, by sweeps and then rounds that do not lag; return whether they are found.
+
+    Sweeps come near a solution from anywhere, if slowly; rounds go on from there, while they lessen the residual.
+    """
+    for _ in range(REFINEMENTS):
+        for _ in range(ITERATIONS):
+            sweep(s, a)
+        s.residual, before = residual_of(s, a, n), math.inf
+        while FOUND < s.residual <= MOST_OF * before:
+            before = s.residual
+            for r in range(3 * a):
+                s.before[r] = s.P[r]
+            do_round(s, a, n, STEP_RHO, False, WIDENING)
+            s.residual = residual_of(s, a, n)
+        if not s.residual <= before:
+            for r in range(3 * a):
+                s.P[r] = s.before[r]
+            s.residual = residual_of(s, a, n)
+        if s.residual <= NEAR:
+            return True
+    return False
+
+
+@kernel
+def sweep(s: JointSpace, a: int) -> None:
+    """Give each contact in turn the impulse that is nearest, with y: Gauss and Seidel's method."""
+    for i in range(a):
+        first, end, square = int(s.first[i]), int(s.end[i]), 0.0
+        for r in range(3 * i, 3 * i + 3):
+            x = row_of(s.X, r)
+            square += dot(x[first:end], x[first:end], end - first)
+        write_speed(s, i, s.y)
+        respond(s, i, 1.0 / square, s.trial)
+        for r in range(3 * i, 3 * i + 3):
+            change, x = s.trial[r] - s.P[r], row_of(s.X, r)
+            s.P[r] = s.trial[r]
+            for j in range(first, end if change != 0.0 else first):
+                s.y[j] += x[j] * change
 
 
 @kernel

@@ -109,7 +109,7 @@ class ContactEvent(Block, sizes=("k",)):
     restitution_share: float  # by which the restitution of an impact was lessened, so that it creates no energy
 
 
-class TimeStep(Block, sizes=("k",)):
+class TimeStep(Block, sizes=("n", "k")):
     """A time step of its own, see `closedloop.mechanics.contacts.time_step`, and what comes before one."""
 
     end: float  # s
@@ -121,6 +121,9 @@ class TimeStep(Block, sizes=("k",)):
     struck: float  # when the last tangential impact was, s
     in_vain: float  # 1 if there were no modes after it; 0 again likewise
     at_once: float  # 1 while its impulses have just been written
+    # of an integrator that steps in time: 1 if the step under way puts something back, and then by what it moves q
+    shifts: float
+    shift: Annotated[Array, N]  # rad (m), of ball joints in axes of their links
 
 
 class GivenModes(Block, sizes=("n", "k")):

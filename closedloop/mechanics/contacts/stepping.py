@@ -5,11 +5,13 @@ With G and the velocities u of a step's beginning, and the smooth forces held,
     u⁺ = u + h X L⁻¹(Q − C) + W P,     P ∈ K,     w + μ|u⁺_t| n ∈ K*,     Pᵀ(w + μ|u⁺_t| n) = 0,
 
     w = u⁺ + g/h n        of a contact with the gap g >= 0, which may close and does not sink in,
-    w = u⁺ + g/(10 h) n   of one that is g < 0 deep,
+    w = u⁺                of one that is g < 0 deep,
     w = u⁺ - u' n         of one that strikes within the step and rebounds, u'² = e² u² but for what gravity does
 
-and then q⁺ = q + h q̇⁺ (J. J. Moreau, in Nonsmooth Mechanics and Applications, Springer, 1988; M. Jean, Comput. Methods
-Appl. Mech. Eng. 177, 1999; the gap of D. E. Stewart and J. C. Trinkle, Int. J. Numer. Methods Eng. 39, 1996). It is of
+and then q⁺ = q + h (q̇⁺ + L⁻ᵀ y) (J. J. Moreau, in Nonsmooth Mechanics and Applications, Springer, 1988; M. Jean, Comput.
+Methods Appl. Mech. Eng. 177, 1999; the gap of D. E. Stewart and J. C. Trinkle, Int. J. Numer. Methods Eng. 39, 1996).
+With e the gap at the step's end, y = Xₙᵀ P is the shortest that puts back a tenth of what is deep, and nothing into a
+surface: e/h + Xₙ y >= 0, or e/(10 h) + Xₙ y >= 0 where e < 0. No velocity is left of it, and it has no friction. It is of
 first order, and costs the same however many contacts close, open, stick or slip. The forces of a step are P/h: an
 impact is a large force of one step. Resistances and the dry friction of joints are in the same problem; a soft contact
 presses with the force at the step's end, of the tangent of its law, so that no stiffness is too large for the step.
@@ -25,20 +27,23 @@ from closedloop.jit.kernel import kernel
 from closedloop.mechanics.closure.contact_force import FREE, PRESSED, STUCK
 from closedloop.mechanics.closure.solve import OK, PAINLEVE
 from closedloop.mechanics.contacts.joint_space import (
+    ALONG,
     GIVEN,
     HOLDS,
     IN_CONE,
     OWNED,
     PUSHES,
     JointSpace,
+    do_round,
     is_wedged,
     solve_softly,
     solve_step,
+    start_at_rest,
 )
 from closedloop.mechanics.contacts.memory import INSIDE, ContactLinks, Contacts, joints_of
 from closedloop.mechanics.contacts.resistance import is_resistance
 from closedloop.mechanics.contacts.soft import force_at, soft_gap
-from closedloop.mechanics.limits import AHEAD, HOVERING, TENTH, TURNED
+from closedloop.mechanics.limits import AHEAD, FOUND, HOVERING, STIFF, TENTH, TOUCHING, TURNED
 
 
 @kernel
@@ -65,13 +70,11 @@ def begin_step(links: ContactLinks, c: Contacts, load: Array, h: float, rest_spe
         Below which contacts without one of their own do not rebound, m/s.
     """
     s, n = c.stepping, links.n
-    a = write_problem(links, c, load, h, TENTH, rest_speed)
+    a = write_problem(links, c, load, h, rest_speed)
     s.associated = s.alike = 0.0
     found = a == 0 or solve_step(s, a, n)
-    if not found or is_wedged(s, a):  # what is inside each other may not all part at once: what is deep then stays
-        write_problem(links, c, load, h, 0.0, rest_speed)
-        if not solve_softly(s, a, n):
-            return PAINLEVE
+    if (not found or is_wedged(s, a)) and not solve_softly(s, a, n):
+        return PAINLEVE
     for i in range(links.k):
         at, pressed = int(s.packed_at[i]), 0.0
         for r in range(3):
@@ -84,11 +87,33 @@ def begin_step(links: ContactLinks, c: Contacts, load: Array, h: float, rest_spe
         if pressed > 0.0:
             held = math.hypot(s.P[3 * at + 1], s.P[3 * at + 2]) < INSIDE * s.mu[at] * pressed
             c.mode[i] = STUCK if held else PRESSED
+    put_back(links, c, a, h)
     return OK
 
 
 @kernel
-def write_problem(links: ContactLinks, c: Contacts, load: Array, h: float, push: float, rest_speed: float) -> int:
+def put_back(links: ContactLinks, c: Contacts, a: int, h: float) -> None:
+    """Write h y in `shift`, of the a contacts that are packed with their velocities after the step, if any is deep."""
+    s, deepest = c.stepping, 0.0
+    for i in range(a):
+        gap, pushes = c.located[3 * int(s.number[i])], s.normal[i] == PUSHES
+        e = s.u[3 * i] * h + (min(gap, 0.0) if pushes else gap)  # a gap is in u already
+        if s.normal[i] > HOLDS:
+            s.normal[i], s.given[i], s.falls[i], e = GIVEN, 0.0, 0.0, 0.0
+        deepest = max(deepest, -e if pushes else abs(e))
+        s.q[3 * i], s.q[3 * i + 1], s.q[3 * i + 2] = (e if pushes and e >= 0.0 else TENTH * e) / h, 0.0, 0.0
+        s.tangent[i], s.ahead[i, 0], s.ahead[i, 1] = ALONG, 0.0, 0.0
+    c.step.shifts = 1.0 if deepest > TOUCHING else 0.0
+    if c.step.shifts != 0.0:
+        s.associated, s.residual = 1.0, FOUND
+        start_at_rest(s, a, links.n)
+        do_round(s, a, links.n, STIFF)
+        for j in range(links.n):
+            c.step.shift[j] = h * s.y[j]
+
+
+@kernel
+def write_problem(links: ContactLinks, c: Contacts, load: Array, h: float, rest_speed: float) -> int:
     """Write the contacts that take part, packed; return their number."""
     s, a, gained = c.stepping, 0, 0.0
     s.asked = 0.0
@@ -118,7 +143,7 @@ def write_problem(links: ContactLinks, c: Contacts, load: Array, h: float, push:
         if c.soft[i] != 0.0 and not write_softness(links, c, i, s, a, h):
             continue
         if s.normal[a] <= HOLDS:
-            s.q[3 * a] += allowed(links, c, i, s.q[3 * a], h, push, rest_speed)
+            s.q[3 * a] += allowed(c, i, s.q[3 * a], h, rest_speed)
         s.packed_at[i] = a
         a += 1
     s.gained = gained if a > 0 else s.gained
@@ -170,17 +195,17 @@ def belongs_here(c: Contacts, i: int) -> bool:
 
 
 @kernel
-def allowed(links: ContactLinks, c: Contacts, i: int, coming: float, h: float, push: float, rest_speed: float) -> float:
+def allowed(c: Contacts, i: int, coming: float, h: float, rest_speed: float) -> float:
     """Return what is added to the velocity of contact i along its normal, m/s, for the w of the problem.
 
     A rebound begins at the gap g and ends at g + h u⁺: u⁺ has the energy e² of what would have been at the surface.
     """
     gap, u, slowest = c.located[3 * i], c.u[3 * i], c.rest_speed[i] if c.rest_speed[i] > 0.0 else rest_speed
     if c.friction.pulls[i] != 0.0:
-        return float(gap * push / h)
+        return 0.0
     g = max(u - coming, 0.0) / h  # what accelerates it towards the surface, m/s²
     left = c.restitution[i] ** 2 * (u * u + 2.0 * g * gap) - 2.0 * g * gap
     rebound = math.sqrt(g * g * h * h + left) - g * h if left > 0.0 else 0.0
     if rebound > slowest and u < 0.0 and gap + h * coming <= 0.0:
         return float(-rebound)
-    return float(gap / h if gap >= 0.0 else gap * push / h)
+    return float(max(gap, 0.0) / h)

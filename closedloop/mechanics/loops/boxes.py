@@ -3,8 +3,8 @@
 The normal is that of a face of either box, or is at right angles to an edge of each (S. Gottschalk, M. C. Lin, D.
 Manocha, SIGGRAPH 1996). Of a face the points are those of the face of the other box that is turned towards it, cut off
 at its sides (I. E. Sutherland, G. W. Hodgman, Commun. ACM 17, 1974): eight at most. Of edges it is the point at which
-they are nearest; and where their normal is nearly that of a face, what is less deep in that face, or may come down in a step.
-All depends on where the boxes are, and on nothing before.
+they are nearest; and where their normal is nearly that of a face, what is less deep in that face, or above it, as it
+may come down in a step. All depends on where the boxes are, and on nothing before.
 """
 
 from __future__ import annotations

@@ -8,13 +8,15 @@ With G and the velocities u of a step's beginning, and the smooth forces held,
     w = u⁺                of one that is g < 0 deep,
     w = u⁺ - u' n         of one that strikes within the step and rebounds, u'² = e² u² but for what gravity does
 
-and then q⁺ = q + h (q̇⁺ + L⁻ᵀ y) (J. J. Moreau, in Nonsmooth Mechanics and Applications, Springer, 1988; M. Jean, Comput.
-Methods Appl. Mech. Eng. 177, 1999; the gap of D. E. Stewart and J. C. Trinkle, Int. J. Numer. Methods Eng. 39, 1996).
-With e the gap at the step's end, y = Xₙᵀ P is the shortest that puts back a tenth of what is deep, and nothing into a
-surface: e/h + Xₙ y >= 0, or e/(10 h) + Xₙ y >= 0 where e < 0. No velocity is left of it, and it has no friction. It is of
-first order, and costs the same however many contacts close, open, stick or slip. The forces of a step are P/h: an
-impact is a large force of one step. Resistances and the dry friction of joints are in the same problem; a soft contact
-presses with the force at the step's end, of the tangent of its law, so that no stiffness is too large for the step.
+and then q⁺ = q + h (q̇⁺ + L⁻ᵀ y) (J. J. Moreau, in Nonsmooth Mechanics and Applications, Springer, 1988; M. Jean,
+Comput. Methods Appl. Mech. Eng. 177, 1999; the gap of D. E. Stewart and J. C. Trinkle, Int. J. Numer. Methods Eng. 39,
+1996). With e the gap at the step's end, y = Xₙᵀ P is the shortest that puts back a tenth of what is deep, and nothing
+into a surface: e/h + Xₙ y >= 0, or e/(10 h) + Xₙ y >= 0 where e < 0. It leaves no velocity, and has no friction.
+
+The scheme is of first order, and costs the same however many contacts close, open, stick or slip. The forces of a step
+are P/h: an impact is a large force of one step. Resistances and the dry friction of joints are in the same problem; a
+soft contact presses with the force at the step's end, of the tangent of its law, so that no stiffness is too large for
+the step.
 """
 
 from __future__ import annotations

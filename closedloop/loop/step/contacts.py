@@ -291,10 +291,11 @@ def contact_forces(links: ContactLinks, c: Contacts, w: Work, constants: Constan
             y[j] += x0[j] * f + x1[j] * f1 + x2[j] * f2
     accelerate(w.L, w.tip.X, w.y, w.tip.F, w.qdd, integers_at(state.addresses.group_ends, state.n))
     for i in range(3, 3 * k if state.settings.stages == 1 else 0):
-        growth = c.drift[i] - c.turning[i]
-        first, end = joints_of(c, i // 3)
+        if c.F[i] == 0.0:
+            continue
+        growth, row, (first, end) = c.drift[i] - c.turning[i], row_of(c.G, i), joints_of(c, i // 3)
         for j in range(first, end):
-            growth += c.G[i, j] * w.qdd[j]
+            growth += row[j] * w.qdd[j]
         w.contacts.power_rate += c.F[i] * growth
     return status
 

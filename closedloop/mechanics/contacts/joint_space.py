@@ -10,10 +10,9 @@ for y by Newton's method: the augmented Lagrangian of P. Alart and A. Curnier (C
 1991). Its matrix 1 + ρ Xᵀ ∂Π J is that of the joints and never singular. As ρ grows from round to round few are needed.
 Of forces that are not unique it takes, from P° = 0, nearly the shortest.
 
-A round is of one of two kinds. With μ|u_t| as it was before the round (V. Acary, F. Cadoux, C. Lemaréchal, J. Malick,
-ZAMM 91, 2011) y is the least of a convex function, which Newton's method with a search along its step finds from
-anywhere. Where the slip grows that of the y that is sought is taken: with less, contacts that touch and only slide
-along would be pressed. With μ|u_t| of the y that is sought throughout, a round is quick, but only from nearby.
+Without μ|u_t| y is the least of a convex function, which Newton's method with a search along its step finds from
+anywhere. With it a round has to begin near its end: ρ is lessened until it does. Gauss and Seidel's method (M. Jean,
+Comput. Methods Appl. Mech. Eng. 177, 1999) comes near a solution from farther away, if slowly.
 """
 
 from __future__ import annotations
@@ -78,8 +77,6 @@ class JointSpace(Block, sizes=("n", "k")):
     trial: Annotated[Array, 3 * K]
     before: Annotated[Array, 3 * K]  # P of the round before
     slope: Annotated[Array, K, 3, 3]  # ∂Π
-    lagged: float  # 1: with μ|u_t| as it was before the round
-    lifted: Annotated[Array, K]  # that, m/s
     change: Annotated[Array, 3 * K]  # of u along a step
     along: Annotated[Array, K, 2]  # ∂(μ|u_t|)/∂u_t; of an owned one ∂P_t/∂P_n of its owner
     y: Annotated[Array, N]
@@ -158,11 +155,9 @@ def respond(s: JointSpace, i: int, rho: float, P: Array) -> None:
     along[0] = along[1] = 0.0
     if normal == PUSHES and s.tangent[i] == IN_CONE:
         size, share = math.hypot(u1, u2), (1.0 - s.associated) * mu
-        lags = s.lagged != 0.0 and s.lifted[i] > share * size
-        if size > 0.0 and not lags:
+        if size > 0.0:
             along[0], along[1] = share * u1 / size, share * u2 / size
-        lifted = s.lifted[i] if lags else share * size
-        into_cone_with_slope(x0 - rho * lifted, x1, x2, mu, P[at : at + 3], slope)
+        into_cone_with_slope(x0 - rho * share * size, x1, x2, mu, P[at : at + 3], slope)
         return
     for a in range(3):
         for b in range(3):
@@ -335,7 +330,7 @@ def residual_of(s: JointSpace, a: int, n: int) -> float:
 def solve_in_joint_space(s: JointSpace, a: int, n: int, first: float) -> bool:
     """Write P and u of the a contacts but for rounding, from P, with the first ρ; return whether they are found.
 
-    No round lags. They end when they no longer lessen the residual.
+    Rounds end when they no longer lessen the residual.
     """
     stiffness, before = first, math.inf
     for _ in range(ITERATIONS):
@@ -355,58 +350,43 @@ def solve_in_joint_space(s: JointSpace, a: int, n: int, first: float) -> bool:
 def solve_step(s: JointSpace, a: int, n: int) -> bool:
     """Write P and u of the a contacts of a time step, from P; return whether they are found.
 
-    Where a round that lags lessens the residual little one that does not is tried; and again where the residual is much
-    less than where that failed, or no longer falls. Rounds end at the residual FOUND, or when neither lessens it. What
-    a round leaves of its equations counts 1/ρ of that in impulses: it may leave more than ρ times as much.
+    By rounds from P; where these fail, by rounds after sweeps, which come near a solution from anywhere, if slowly.
     """
-    lagged, failed, flat = True, math.inf, False
-    s.residual = residual_of(s, a, n)
-    for _ in range(ITERATIONS):
-        if s.residual <= FOUND:
-            return True
-        if not s.residual < math.inf:
-            return False
-        before = s.residual
-        for r in range(3 * a):
-            s.before[r] = s.P[r]
-        do_round(s, a, n, STEP_RHO, lagged, WIDENING)
-        s.residual = residual_of(s, a, n)
-        if lagged:
-            flat = s.residual > MOST_OF * before
-            lagged = not (flat or TENTH * before < s.residual < TENTH * failed)
-        elif s.residual > 0.5 * before:
-            lagged, failed = True, before
-            for r in range(3 * a):
-                s.P[r] = s.before[r]
-            s.residual = residual_of(s, a, n)
-            if flat:
-                break
-    return bool(s.residual <= NEAR or solve_by_sweeps(s, a, n))
+    for attempt in range(REFINEMENTS):
+        for _ in range(ITERATIONS if attempt > 0 else 0):
+            sweep(s, a)
+        do_rounds(s, a, n)
+        if s.residual <= NEAR:
+            break
+    return bool(s.residual <= NEAR)
 
 
 @kernel
-def solve_by_sweeps(s: JointSpace, a: int, n: int) -> bool:
-    """Write P and u of the a contacts from P, by sweeps and then rounds that do not lag; return whether they are found.
+def do_rounds(s: JointSpace, a: int, n: int) -> None:
+    """Do rounds until the residual is FOUND; ρ grows where they lessen it little, and falls where it grows.
 
-    Sweeps come near a solution from anywhere, if slowly; rounds go on from there, while they lessen the residual.
+    Of contacts whose rows depend on each other one may have to open: the residual stays until its impulse is gone. What
+    a round leaves of its equations counts 1/ρ of that in impulses.
     """
-    for _ in range(REFINEMENTS):
-        for _ in range(ITERATIONS):
-            sweep(s, a)
-        s.residual, before = residual_of(s, a, n), math.inf
-        while FOUND < s.residual <= MOST_OF * before:
-            before = s.residual
-            for r in range(3 * a):
-                s.before[r] = s.P[r]
-            do_round(s, a, n, STEP_RHO, False, WIDENING)
-            s.residual = residual_of(s, a, n)
-        if not s.residual <= before:
+    stiffness = STEP_RHO
+    s.residual = residual_of(s, a, n)
+    for _ in range(ITERATIONS):
+        if s.residual <= FOUND or not s.residual < math.inf:
+            break
+        before = s.residual
+        for r in range(3 * a):
+            s.before[r] = s.P[r]
+        do_round(s, a, n, stiffness, False, min(TENTH * stiffness, WIDENING))
+        s.residual = residual_of(s, a, n)
+        if not MOST_OF * s.residual <= before:
             for r in range(3 * a):
                 s.P[r] = s.before[r]
             s.residual = residual_of(s, a, n)
-        if s.residual <= NEAR:
-            return True
-    return False
+            stiffness /= WIDENING * WIDENING
+            if stiffness < 1.0:
+                break
+        elif s.residual > 0.5 * before:
+            stiffness = min(WIDENING * stiffness, STIFFEST_RHO)
 
 
 @kernel
@@ -530,16 +510,15 @@ def solve_softly(s: JointSpace, a: int, n: int, rounds: int = 1) -> bool:
 
 
 @kernel
-def do_round(s: JointSpace, a: int, n: int, stiffness: float, lagged: bool = True, leaves: float = TENTH) -> None:
+def do_round(s: JointSpace, a: int, n: int, stiffness: float, convex: bool = True, leaves: float = TENTH) -> None:
     """Do a round of the proximal point method: write the P that is nearest, from P, and y and u of it.
 
-    With μ|u_t| of the u that is written, if it lags and that is more, else of the round's end; of its equations it
-    leaves a share. Where it does not lag a step of Newton's method is halved until less is off.
+    Of its equations it leaves a share. If it is convex there is a search along each step of Newton's method; else that
+    is halved until less is off.
     """
-    s.lagged, most = 1.0 if lagged else 0.0, 0.0
+    most = 0.0
     for i in range(a):
         most = max(most, s.mobility[i])
-        s.lifted[i] = (1.0 - s.associated) * s.mu[i] * math.hypot(s.u[3 * i + 1], s.u[3 * i + 2])
     left = leaves * max(s.residual, FOUND) * s.asked / (stiffness * math.sqrt(most))
     square = write_off(s, a, n, stiffness, s.y)
     for _ in range(NEWTON_STEPS):
@@ -547,7 +526,7 @@ def do_round(s: JointSpace, a: int, n: int, stiffness: float, lagged: bool = Tru
             break
         newton_step_of_joints(s, a, n, stiffness)
         last = square
-        if lagged:
+        if convex:
             slope, square = search(s, a, n, stiffness)
             if not (square < last or slope < -EXACT * EXACT * dot(s.y, s.y, n)):
                 break
@@ -567,7 +546,6 @@ def do_round(s: JointSpace, a: int, n: int, stiffness: float, lagged: bool = Tru
             s.y[j] = s.y_trial[j]
     for r in range(3 * a):
         s.P[r] = s.trial[r]
-    s.lagged = 0.0
 
 
 @kernel

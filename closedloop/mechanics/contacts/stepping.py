@@ -45,7 +45,7 @@ from closedloop.mechanics.contacts.joint_space import (
 from closedloop.mechanics.contacts.memory import INSIDE, ContactLinks, Contacts, joints_of
 from closedloop.mechanics.contacts.resistance import is_resistance
 from closedloop.mechanics.contacts.soft import force_at, soft_gap
-from closedloop.mechanics.limits import AHEAD, FOUND, HOVERING, STIFF, TENTH, TOUCHING, TURNED
+from closedloop.mechanics.limits import AHEAD, FOUND, HOVERING, STIFF, TENTH, TURNED
 
 
 @kernel
@@ -105,7 +105,7 @@ def put_back(links: ContactLinks, c: Contacts, a: int, h: float) -> None:
         deepest = max(deepest, -e if pushes else abs(e))
         s.q[3 * i], s.q[3 * i + 1], s.q[3 * i + 2] = (e if pushes and e >= 0.0 else TENTH * e) / h, 0.0, 0.0
         s.tangent[i], s.ahead[i, 0], s.ahead[i, 1] = ALONG, 0.0, 0.0
-    c.step.shifts = 1.0 if deepest > TOUCHING else 0.0
+    c.step.shifts = 1.0 if deepest > HOVERING else 0.0
     if c.step.shifts != 0.0:
         s.associated, s.residual = 1.0, FOUND
         start_at_rest(s, a, links.n)

@@ -159,15 +159,12 @@ def in_cones(c, forces, tolerance):
 
 @pytest.mark.parametrize("normal", [PUSHES, HOLDS, GIVEN, OWNED])
 @pytest.mark.parametrize("tangent", [IN_CONE, ALONG, STICKS])
-@pytest.mark.parametrize("lifted", [None, 0.0, 3.0])
-def test_slopes_are_the_derivatives_of_the_response(normal, tangent, lifted):
-    """Of each kind of contact, inside its cone, beside it and behind it, by central differences of the speed.
-
-    Also in a round that lags, where μ|u_t| was less before it, or more.
-    """
+@pytest.mark.parametrize("associated", [0.0, 1.0])
+def test_slopes_are_the_derivatives_of_the_response(normal, tangent, associated):
+    """Of each kind of contact, inside its cone, beside it and behind it, by central differences of the speed."""
     s, rho, h = JointSpace(np.zeros(JointSpace.count(1, 2)), 1, 2), 1.7, 1e-6
     s.normal[:], s.tangent[:], s.mu[:], s.ahead[:] = [PUSHES, normal], [IN_CONE, tangent], 0.4, [0.2, -0.1]
-    s.lagged, s.lifted[:] = lifted is not None, lifted or 0.0
+    s.associated = associated
     for seed in range(6):
         rng = np.random.default_rng(seed)
         s.u[:], s.P[:], s.falls[1] = rng.normal(size=6), rng.normal(size=6), seed % 2

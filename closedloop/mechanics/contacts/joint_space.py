@@ -69,6 +69,7 @@ class JointSpace(Block, sizes=("n", "k")):
     end: Annotated[Array, K]
     X: Annotated[Array, 3 * K, N]
     q: Annotated[Array, 3 * K]  # m/s
+    beside: Annotated[Array, K]  # of which that of w beside u⁺, in a time step: negative of a rebound
     P: Annotated[Array, 3 * K]  # in: where to start; out: impulses, N s
     u: Annotated[Array, 3 * K]  # m/s, with them
     mobility: Annotated[Array, K]  # the largest of each contact, 1/kg

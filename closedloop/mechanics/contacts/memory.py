@@ -192,6 +192,7 @@ class ContactFriction(Block, sizes=("k", "past")):
     shared: Annotated[Array, K]  # largest |F_t|/f of a soft contact beside others, else 0; see `write_shared`
     rises: float  # 1 if friction that is shared rises with the slip, see `let_friction_rise`
     held: Annotated[Array, K]  # 1 if its spring holds it, in the present problem
+    bound: Annotated[Array, K]  # 1 of a slip of none that what sticks leaves no motion: its friction is not turned
     states: Annotated[Array, K]  # how many its law of friction has
     states_at: Annotated[Array, K]  # and where in `Work.z` they are
     pulls: Annotated[Array, K]  # 1 of a contact that cannot part

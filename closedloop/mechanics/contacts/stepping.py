@@ -45,7 +45,7 @@ from closedloop.mechanics.contacts.joint_space import (
 from closedloop.mechanics.contacts.memory import INSIDE, ContactLinks, Contacts, joints_of
 from closedloop.mechanics.contacts.resistance import is_resistance
 from closedloop.mechanics.contacts.soft import force_at, soft_gap
-from closedloop.mechanics.limits import AHEAD, FOUND, HOVERING, STIFF, TENTH, TURNED
+from closedloop.mechanics.limits import AHEAD, FOUND, HALVINGS, HOVERING, STIFF, TENTH, TURNED
 
 
 @kernel
@@ -72,9 +72,11 @@ def begin_step(links: ContactLinks, c: Contacts, load: Array, h: float, rest_spe
         Below which contacts without one of their own do not rebound, m/s.
     """
     s, n = c.stepping, links.n
-    a = write_problem(links, c, load, h, rest_speed)
+    a = write_problem(links, c, load, h, rest_speed, 1.0)
     s.associated = s.alike = 0.0
     found = a == 0 or solve_step(s, a, n)
+    if some_rebound(s, a) and not (found and adds_no_energy(s, a)):
+        found = lessen_restitution(links, c, load, h, rest_speed)
     if (not found or is_wedged(s, a)) and not solve_softly(s, a, n):
         return PAINLEVE
     for i in range(links.k):
@@ -91,6 +93,47 @@ def begin_step(links: ContactLinks, c: Contacts, load: Array, h: float, rest_spe
             c.mode[i] = STUCK if held else PRESSED
     put_back(links, c, a, h)
     return OK
+
+
+@kernel
+def some_rebound(s: JointSpace, a: int) -> bool:
+    """Whether a contact is to rebound."""
+    some = False
+    for i in range(a):
+        some = some or s.beside[i] < 0.0
+    return some
+
+
+@kernel
+def adds_no_energy(s: JointSpace, a: int) -> bool:
+    """Whether the impulses, but for springs', add none to the kinetic energy: Pᵀ(u + u⁺)/2 with u without them, J."""
+    added, size = 0.0, 0.0
+    for i in range(a):
+        for r in range(0 if s.normal[i] <= HOLDS else 1, 3):
+            beside = s.beside[i] if r == 0 else 0.0
+            free, after = s.q[3 * i + r] - beside, s.u[3 * i + r] - beside
+            added += s.P[3 * i + r] * (free + after)
+            size += abs(s.P[3 * i + r]) * (abs(free) + abs(after))
+    return bool(added <= FOUND * size)
+
+
+@kernel
+def lessen_restitution(links: ContactLinks, c: Contacts, load: Array, h: float, rest_speed: float) -> bool:
+    """Lessen all rebounds of the step by one factor, the largest with which the impulses add no energy, or by all.
+
+    Newton's law with friction creates energy (T. R. Kane, 1984), and where contacts are opposite each other, or
+    friction pulls them in, there need be no impulses: `closedloop.mechanics.contacts.impact` does likewise. Returns
+    whether they were found; where not even without rebounds, these are left out.
+    """
+    s, n, low, high = c.stepping, links.n, 0.0, 1.0
+    for _ in range(HALVINGS):
+        middle = 0.5 * (low + high)
+        a = write_problem(links, c, load, h, rest_speed, middle)
+        if solve_step(s, a, n) and adds_no_energy(s, a):
+            low = middle
+        else:
+            high = middle
+    return bool(solve_step(s, write_problem(links, c, load, h, rest_speed, low), n))
 
 
 @kernel
@@ -115,8 +158,8 @@ def put_back(links: ContactLinks, c: Contacts, a: int, h: float) -> None:
 
 
 @kernel
-def write_problem(links: ContactLinks, c: Contacts, load: Array, h: float, rest_speed: float) -> int:
-    """Write the contacts that take part, packed; return their number."""
+def write_problem(links: ContactLinks, c: Contacts, load: Array, h: float, rest_speed: float, share: float) -> int:
+    """Write the contacts that take part, packed, with rebounds times `share`; return their number."""
     s, a, gained = c.stepping, 0, 0.0
     s.asked = 0.0
     for i in range(links.k):
@@ -144,8 +187,11 @@ def write_problem(links: ContactLinks, c: Contacts, load: Array, h: float, rest_
             continue
         if c.soft[i] != 0.0 and not write_softness(links, c, i, s, a, h):
             continue
+        s.beside[a] = 0.0
         if s.normal[a] <= HOLDS:
-            s.q[3 * a] += allowed(c, i, s.q[3 * a], h, rest_speed)
+            beside = allowed(c, i, s.q[3 * a], h, rest_speed)
+            s.beside[a] = beside * share if beside < 0.0 else beside
+            s.q[3 * a] += s.beside[a]
         s.packed_at[i] = a
         a += 1
     s.gained = gained if a > 0 else s.gained

@@ -23,12 +23,14 @@ from __future__ import annotations
 
 import math
 
+from closedloop.jit.calls import row_of
 from closedloop.jit.dual8 import along, has_derivatives, settled, slope_of, sought
 from closedloop.jit.kernel import kernel
 from closedloop.mechanics.closure.contact_force import FREE, IMMOBILE, PRESSED
 from closedloop.mechanics.closure.solve import OK
 from closedloop.mechanics.contacts.closed import solve_closed
 from closedloop.mechanics.contacts.friction import stops_slipping
+from closedloop.mechanics.contacts.given_modes import sticks
 from closedloop.mechanics.contacts.joint_space import (
     OWNED,
     STICKS,
@@ -37,7 +39,7 @@ from closedloop.mechanics.contacts.joint_space import (
     solve_in_joint_space,
     start_at_rest,
 )
-from closedloop.mechanics.contacts.memory import CONE, DOUBLE, INSIDE, LINE, OFF, RAY, ContactLinks, Contacts
+from closedloop.mechanics.contacts.memory import CONE, DOUBLE, INSIDE, LINE, OFF, RAY, ContactLinks, Contacts, joints_of
 from closedloop.mechanics.contacts.mobility import added, force_size, write_motion
 from closedloop.mechanics.contacts.packed import pack_contacts, unpack_contacts
 from closedloop.mechanics.contacts.resistance import is_resistance
@@ -51,12 +53,14 @@ from closedloop.mechanics.limits import (
     ITERATIONS,
     MOST_STALLED,
     PARTING,
+    SAME_DIRECTION,
     STIFF,
     STILL,
     TURNS,
     VANISHING,
     WIDENING,
 )
+from closedloop.mechanics.loops.solve import dot, orthonormal_basis, take_off
 
 
 @kernel
@@ -77,6 +81,7 @@ def turn_and_solve(links: ContactLinks, c: Contacts, h: float, begins: bool, poi
         c.friction.next_against[i] = 0.0
     for i in range(k):
         c.scratch.start[3 * i], c.scratch.start[3 * i + 1] = c.problem.along[i, 0], c.problem.along[i, 1]
+    write_bound(c, k)
     # Without the friction that soft contacts share, which is found here, others may pull.
     if (some_pull(c, k) and not some_share(c, k)) or not some_slip_slowly(c, k, h):
         return int(OK)
@@ -100,6 +105,37 @@ def turn_and_solve(links: ContactLinks, c: Contacts, h: float, begins: bool, poi
         if begins and not points:
             c.friction.next_against[i] = 1.0
     return int(solve_closed(links, c))
+
+
+@kernel
+def write_bound(c: Contacts, k: int) -> None:
+    """Write which slips cannot begin, because contacts that stick hold all that would move them.
+
+    So is a resistance at its limit beside one that holds the same rotation: how much each holds is not unique, and
+    changes what the friction of others does.
+    """
+    basis, n, p = c.given.basis, c.X.shape[1], 0
+    for i in range(k):
+        c.friction.bound[i] = 0.0
+        for r in range(3 * i + 1, 3 * i + 3 if sticks(c, i) else 0):
+            first, end = joints_of(c, i)
+            for j in range(n):
+                basis[p, j] = c.X[r, j] if first <= j < end else 0.0
+            p += 1
+    rank = -1
+    for i in range(k if p > 0 else 0):
+        if c.problem.form[i] not in (RAY, LINE) or math.hypot(c.u[3 * i + 1], c.u[3 * i + 2]) > STILL:
+            continue
+        rank = orthonormal_basis(basis, p, n, SAME_DIRECTION) if rank < 0 else rank
+        first, end = joints_of(c, i)
+        row, left, least = c.scratch.sum, 0.0, SAME_DIRECTION * SAME_DIRECTION
+        for r in range(3 * i + 1, 3 * i + 3):
+            for j in range(n):
+                row[j] = c.X[r, j] if first <= j < end else 0.0
+            for m in range(rank):
+                take_off(row, row_of(basis, m), n)
+            left += dot(row, row, n)
+        c.friction.bound[i] = 1.0 if left <= least * (c.S[i, 1, 1] + c.S[i, 2, 2]) else 0.0
 
 
 @kernel
@@ -138,6 +174,8 @@ def slips_slowly(c: Contacts, i: int, h: float) -> bool:
     """Whether friction can turn the slip of contact i, or end it, within the step h, s."""
     n, S = 3 * i, c.S[i]
     if not (c.problem.form[i] in (RAY, LINE) and c.mode[i] == PRESSED and stops_slipping(c, i)):
+        return False
+    if c.friction.bound[i] != 0.0:
         return False
     u1, u2, trace = c.u[n + 1], c.u[n + 2], S[1, 1] + S[2, 2]
     speed = math.hypot(u1, u2)

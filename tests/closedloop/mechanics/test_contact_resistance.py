@@ -10,7 +10,8 @@ import closedloop as cl
 from closedloop.jit.interpreted import interpreted
 from closedloop.loop.step.contact_rows import locate_points
 from closedloop.mechanics.contacts.given_modes import find_inside
-from closedloop.mechanics.contacts.memory import CONE, OFF, make_contact_memory
+from closedloop.mechanics.contacts.memory import CONE, OFF, RAY, make_contact_memory
+from closedloop.mechanics.contacts.turning import write_bound
 from closedloop.record.columns.touching import contact_torques
 from closedloop.scenario.load import parse_scenario
 from closedloop.simulation.prepare import prepare
@@ -272,6 +273,20 @@ def test_a_run_is_read_back_with_its_moments(tmp_path):
         np.testing.assert_array_equal(getattr(again, name), getattr(run, name))
     other = cl.simulate(run.scenario, engine="pinocchio", progress=False)
     np.testing.assert_allclose(other.link_rolling_moments, run.link_rolling_moments, atol=1e-9)
+
+
+@pytest.mark.parametrize(("held", "speed", "bound"), [(2, 0.0, 1.0), (1, 0.0, 0.0), (2, 1e-3, 0.0)])
+def test_a_turning_that_another_resistance_holds_does_not_begin(held, speed, bound):
+    """A resistance at its limit beside one that sticks: with both of its rows held, and no slip, it is bound."""
+    rng = np.random.default_rng(1)
+    links, c = make_contact_memory(6, 5, resistances=((1, 0.01, False), (2, 0.02, False)))
+    c.X[:] = rng.normal(size=(15, 6))
+    c.X[13 : 13 + held] = 2.0 * c.X[10 : 10 + held]
+    c.problem.form[:] = [OFF, RAY, RAY, RAY, CONE]
+    c.u[10] = speed
+    write_own_mobilities(c)
+    interpreted(write_bound)(c, 5)
+    np.testing.assert_array_equal(c.friction.bound, [0.0, 0.0, 0.0, bound, 0.0])
 
 
 def test_the_resistance_of_an_open_contact_has_no_share_of_forces_that_are_not_unique():

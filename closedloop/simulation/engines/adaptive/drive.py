@@ -86,7 +86,7 @@ def slips(w: Work, state: State) -> list[Slip]:
     found = []
     for i in range(int(links.joints)):
         t = slice(3 * i + 1, 3 * i + 3)
-        if c.mode[i] == PRESSED and stops_slip(c, i):
+        if c.mode[i] == PRESSED and stops_slip(c, i) and c.friction.bound[i] == 0.0:
             mobility, rows, shared = c.S[i, 1, 1] + c.S[i, 2, 2], c.G[t], float(c.friction.shared[i])
             friction = shared * abs(c.F[3 * i]) or float(np.hypot(*c.F[t]))
             slip = _slip(c.u[t], friction, mobility, rows, rows @ w.qdd + c.drift[t])

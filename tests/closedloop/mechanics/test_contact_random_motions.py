@@ -29,7 +29,7 @@ def test_a_random_motion_goes_on(tmp_path, seed):
 
 @pytest.mark.parametrize("seed", [91150049, 91150030])
 def test_time_steps_in_which_contacts_rebound_gain_no_energy(tmp_path, seed):
-    """Newton's restitution with friction would give 35 J in a step, whatever its length; the scheme's error is small."""
+    """Newton's restitution with friction would give 35 J in a step, whatever its length; the scheme gives little."""
     text, _ = motions.draw(seed, tmp_path)
     (tmp_path / "scenario.toml").write_text(text)
     scenario = cl.load_scenario(str(tmp_path / "scenario.toml"), {"time.integrator": "time_stepping"})

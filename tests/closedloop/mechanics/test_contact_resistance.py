@@ -11,6 +11,7 @@ from closedloop.jit.interpreted import interpreted
 from closedloop.loop.step.contact_rows import locate_points
 from closedloop.mechanics.contacts.given_modes import find_inside
 from closedloop.mechanics.contacts.memory import CONE, OFF, RAY, make_contact_memory
+from closedloop.mechanics.contacts.resistance import form_of_resistance
 from closedloop.mechanics.contacts.turning import write_bound
 from closedloop.record.columns.touching import contact_torques
 from closedloop.scenario.load import parse_scenario
@@ -229,6 +230,25 @@ def test_a_ball_that_bounces_comes_to_rest():
     assert run.event_energy_lost.min() >= -1e-12
 
 
+@pytest.mark.parametrize(("key", "spin"), [("rolling", [0.0, 4.0, 0.0]), ("pivoting", [0.0, 0.0, 4.0])])
+def test_an_impact_has_the_moment_of_one_resistance(key, spin):
+    """A ball without friction that strikes with u loses arm m u (1 + e)/I of its turning."""
+    run = ball({"friction": 0.0, key: 0.002, "restitution": 0.5}, 0.1, position=[0, 0, R + 0.02], spin=spin)
+    u = -run.events[0].rate_before
+    assert u == pytest.approx(np.sqrt(2.0 * G * 0.02), rel=1e-6)
+    lost = 0.002 * 1.5 * u / (0.4 * R * R)
+    after = run.v[np.argmax(run.time > run.events[0].time), 3:]
+    np.testing.assert_allclose(np.linalg.norm(after), 4.0 - lost, rtol=1e-9)
+
+
+def test_a_resistance_that_turns_about_one_axis_alone_takes_part():
+    """Its form is that of a problem while it turns anything and its owner is closed, about whichever axis."""
+    _, c = make_contact_memory(6, 3, resistances=((1, 0.01, False),))
+    for first, second, owner, form in ((0, 1, CONE, CONE), (1, 0, CONE, CONE), (0, 0, CONE, OFF), (1, 1, OFF, OFF)):
+        c.S[2, 1, 1], c.S[2, 2, 2], c.problem.form[1] = first, second, owner
+        assert interpreted(form_of_resistance)(c, 2, CONE) == form
+
+
 def test_a_ball_on_a_turntable_is_carried_to_rest_on_it():
     """The moments oppose the turning relative to the disc: in the end the ball turns as the disc does."""
     contact = {"motion": {"kind": "turntable", "speed": 1.0}, "pivoting": 0.005, "rolling": 0.005}
@@ -279,7 +299,7 @@ def test_a_run_is_read_back_with_its_moments(tmp_path):
 def test_a_turning_that_another_resistance_holds_does_not_begin(held, speed, bound):
     """A resistance at its limit beside one that sticks: with both of its rows held, and no slip, it is bound."""
     rng = np.random.default_rng(1)
-    links, c = make_contact_memory(6, 5, resistances=((1, 0.01, False), (2, 0.02, False)))
+    _, c = make_contact_memory(6, 5, resistances=((1, 0.01, False), (2, 0.02, False)))
     c.X[:] = rng.normal(size=(15, 6))
     c.X[13 : 13 + held] = 2.0 * c.X[10 : 10 + held]
     c.problem.form[:] = [OFF, RAY, RAY, RAY, CONE]

@@ -6,9 +6,12 @@ import pytest
 from random_contacts import random_bodies
 
 import closedloop as cl
+from closedloop.jit.interpreted import interpreted
 from closedloop.jit.kernel import entry_kernel
+from closedloop.mechanics.closure.solve import OK
 from closedloop.mechanics.contacts.joint_space import IN_CONE, PUSHES, solve_step
 from closedloop.mechanics.contacts.memory import contacts_at, make_contact_memory
+from closedloop.mechanics.contacts.stepping import begin_step
 from closedloop.mechanics.limits import NEAR
 from closedloop.mechanics.surface.placed import PlacedSurface
 from validation.speed.scenes import scenario_of
@@ -46,6 +49,27 @@ def test_impulses_keep_cones_and_complementarity():
         worst = max(worst, np.max(-u[:, 0]) / speed, np.max(work))
     assert found >= 295
     assert worst < 2.0 * NEAR  # the residual, in impulses, is at most NEAR
+
+
+def test_rebounds_of_a_step_add_no_energy():
+    """All are lessened by one factor where Newton's law would add some, or has no impulses: else they are whole."""
+    gains, shares = [], []
+    for seed in (0, 1, 2, 4, 5, 6, 7, 8, 23, 30, 35):
+        rng = np.random.default_rng(seed)
+        X, v = random_bodies(rng, seed % 3 == 0)
+        k, n = len(X) // 3, X.shape[1]
+        links, c = make_contact_memory(n, k)
+        c.X[:], c.u[:], c.mu[:], c.inside[:] = X, X @ v, rng.choice([0.0, 0.5, 1.0], size=k), 1.0
+        c.restitution[:] = rng.choice([0.0, 0.9], size=k)
+        assert interpreted(begin_step)(links, c, np.zeros(n), 1e-3, 1e-6) == OK
+        after = v + 1e-3 * X.T @ c.F
+        gains.append(after @ after / (v @ v) - 1.0)
+        before, parting, rebounds = (X @ v)[::3], (X @ after)[::3], (c.F[::3] > 0.0) & (c.restitution > 0.0)
+        rebounds &= before < 0.0
+        shares.append(np.max(-parting[rebounds] / (0.9 * before[rebounds]), initial=0.0))
+    assert np.max(gains) < 1e-9
+    assert np.sum(np.abs(np.array(shares) - 1.0) < 1e-3) >= 5
+    assert np.any((np.array(shares) > 0.1) & (np.array(shares) < 0.9))
 
 
 @pytest.mark.parametrize(("mu", "angle"), [(0.3, 0.2), (0.3, 0.5), (0.0, 0.4)])

@@ -1,6 +1,7 @@
 """The parts of an identification, each by what defines it: windows, columns of coupled joints, the filter, pieces."""
 
 import itertools
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -114,6 +115,16 @@ def test_the_filter_halves_what_has_its_frequency_and_the_cutoff_is_ten_times_th
         share = 1.0 / (1.0 + ratio**8)
         assert np.abs(x.q[inner]).max(axis=0) == pytest.approx([share, 0.5 * share], rel=5e-3)
         assert np.abs(x.v[inner]).max(axis=0) == pytest.approx(10.0 * np.pi * np.array([share, 0.5 * share]), rel=5e-3)
+
+
+def test_a_cutoff_keeps_a_motion_of_a_fifth_of_a_count_and_knows_frequencies_to_a_quarter_of_a_hertz():
+    """What is counted is noise of a count/√12, far below which periods that repeat still show."""
+    time, count = np.arange(20000) * 1e-3, 1e-3
+    fast = 20.0 * np.sin(2.0 * np.pi * 3.0 * time) + 0.2 * np.sin(2.0 * np.pi * 40.0 * time)
+    log = SimpleNamespace(q=count * np.round(fast)[:, None], step=1e-3)
+    assert usual_cutoff(log) == pytest.approx(200.0)  # 0.2/step, as ten times 40 Hz is more
+    log = SimpleNamespace(q=np.sin(2.0 * np.pi * 3.0 * time)[:, None], step=1e-3)
+    assert usual_cutoff(log) == pytest.approx(ABOVE_MOTION * 3.25)  # of 4 s each: the next of their frequencies
 
 
 def test_positions_between_counts():

@@ -89,6 +89,19 @@ def test_where_there_is_no_run_the_search_turns_back():
     assert found.x[0] == pytest.approx(0.4, abs=1e-5)
 
 
+@pytest.mark.parametrize("of_limits", [False, True])
+def test_a_search_stops_before_the_edge_beyond_which_there_is_no_run(of_limits):
+    """Values fall to where there are none, or no limits of finite ones: nothing there is taken for a low value."""
+
+    def value(x):
+        return np.nan if x[0] > 0.6 and not of_limits else 5.0 + 4.0 * (1.0 - x[0])
+
+    limits = [lambda x: np.nan if x[0] > 0.6 else -1.0] if of_limits else []
+    search = Search(of_functions([value, lambda x: 100.0 * value(x)], limits), 1, MEAN)
+    assert 0.1 <= search._descend(np.array([0.1]))[0] <= 0.6
+    assert 0.5 < search.run(np.array([0.1]), 2, 0).x[0] <= 0.6
+
+
 def test_a_search_begins_as_often_as_it_is_asked_to_and_where_limits_are_nearly_met():
     """Of values below zero it finds the least, too; a point far beyond a limit is a worse start than one beside it."""
     search = Search(of_functions([lambda x: (x[0] - 0.4) ** 2 - 1.0]), 1)

@@ -77,8 +77,10 @@ def begin_step(links: ContactLinks, c: Contacts, load: Array, h: float, rest_spe
     found = a == 0 or solve_step(s, a, n)
     if some_rebound(s, a) and not (found and adds_no_energy(s, a)):
         found = lessen_restitution(links, c, load, h, rest_speed)
-    if (not found or is_wedged(s, a)) and not solve_softly(s, a, n):
-        return PAINLEVE
+    if not found or is_wedged(s, a):
+        write_problem(links, c, load, h, rest_speed, 0.0)
+        if not solve_softly(s, a, n):
+            return PAINLEVE
     for i in range(links.k):
         at, pressed = int(s.packed_at[i]), 0.0
         for r in range(3):
@@ -123,7 +125,7 @@ def lessen_restitution(links: ContactLinks, c: Contacts, load: Array, h: float, 
 
     Newton's law with friction creates energy (T. R. Kane, 1984), and where contacts are opposite each other, or
     friction pulls them in, there need be no impulses: `closedloop.mechanics.contacts.impact` does likewise. Returns
-    whether they were found; where not even without rebounds, these are left out.
+    whether they were found.
     """
     s, n, low, high = c.stepping, links.n, 0.0, 1.0
     for _ in range(HALVINGS):

@@ -52,12 +52,12 @@ def test_impulses_keep_cones_and_complementarity():
 
 
 def one_step(X, v, e, mu=0.0, gap=0.0, load=0.0, h=1e-3):
-    """Return L q̇ (n,) and the normal impulses (k,) after a step of contacts with rows X (3 k, n), from L q̇ = v."""
+    """Return L q̇ (n,), normal impulses (k,) and what is put back (n,) in a step from L q̇ = v of rows X (3 k, n)."""
     k, n = len(X) // 3, X.shape[1]
     links, c = make_contact_memory(n, k)
     c.X[:], c.u[:], c.mu[:], c.restitution[:], c.inside[:], c.located[::3] = X, X @ v, mu, e, 1.0, gap
     assert interpreted(begin_step)(links, c, load + np.zeros(n), h, 1e-6) == OK
-    return v + h * (load + X.T @ c.F), h * c.F[::3]
+    return v + h * (load + X.T @ c.F), h * c.F[::3], c.step.shift
 
 
 def test_rebounds_of_a_step_add_no_energy():
@@ -67,7 +67,7 @@ def test_rebounds_of_a_step_add_no_energy():
         rng = np.random.default_rng(seed)
         X, v = random_bodies(rng, seed % 3 == 0)
         mu, e = rng.choice([0.0, 0.5, 1.0], size=len(X) // 3), rng.choice([0.0, 0.9], size=len(X) // 3)
-        after, P = one_step(X, v, e, mu)
+        after, P, _ = one_step(X, v, e, mu)
         gains.append(after @ after / (v @ v) - 1.0)
         before, parting = (X @ v)[::3], (X @ after)[::3]
         rebounds = (P > 0.0) & (e > 0.0) & (before < 0.0)
@@ -83,11 +83,13 @@ def test_one_contact_in_a_step_rebounds_stays_or_is_put_back():
     assert one_step(X, np.array([-0.37, 0.1, 0.0]), 1.0)[0][0] == pytest.approx(0.37, rel=1e-8)
     turns = one_step(X, np.array([0.1, 0.0, 0.0]), 1.0, load=np.array([-600.0, 0.0, 0.0]))[0]
     assert turns[0] == pytest.approx(0.0, abs=1e-7)
-    assert one_step(X, np.array([0.0, 0.1, 0.0]), 0.5, gap=-1e-5)[0][0] == pytest.approx(1e-3, rel=1e-6)
+    after, _, shift = one_step(X, np.array([0.0, 0.1, 0.0]), 0.5, gap=-1e-5)
+    np.testing.assert_allclose(after, [0.0, 0.1, 0.0], atol=1e-12)
+    np.testing.assert_allclose(shift, [1e-6, 0.0, 0.0], rtol=1e-3, atol=1e-12)
     assert one_step(X, np.array([-0.5, 0.0, 0.0]), 0.0, gap=2e-4)[0][0] == pytest.approx(-0.2, rel=1e-6)
-    # Two opposite contacts cannot both part: what is deep stays.
+    # Two opposite contacts cannot both part: what is deep has no impulses.
     both = np.concatenate([X, np.diag([-1.0, 1.0, 1.0])])
-    after, P = one_step(both, np.array([0.0, 0.1, 0.0]), 0.0, gap=np.array([-2e-5, -1e-5]))
+    after, P, _ = one_step(both, np.array([0.0, 0.1, 0.0]), 0.0, gap=np.array([-2e-5, -1e-5]))
     np.testing.assert_allclose([after[0], *P], 0.0, atol=1e-9)
 
 

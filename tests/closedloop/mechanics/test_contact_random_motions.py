@@ -35,7 +35,7 @@ def test_time_steps_in_which_contacts_rebound_gain_no_energy(tmp_path, seed):
     scenario = cl.load_scenario(str(tmp_path / "scenario.toml"), {"time.integrator": "time_stepping"})
     run = cl.simulate(scenario, law=no_torque, engine="compiled")
     energy = run.kinetic_energy + run.potential_energy
-    assert np.max(np.diff(energy)) < 2e-3 * np.max(np.abs(energy))
+    assert np.max(np.diff(energy)) < 5e-3 * np.max(np.abs(energy))
     assert np.max(run.link_forces) > 100.0
 
 

@@ -13,7 +13,7 @@ from validation.measured.pressing.__main__ import main as draw
 from validation.measured.pressing.fitting import Fit, force_mode, intervals, residuals
 from validation.measured.pressing.judging import fits_of, judge
 from validation.measured.pressing.machine import CONTACT, MACHINE, SIZES, ClosedLoopArm, contact_time, pose, scenario
-from validation.measured.pressing.measures import figures
+from validation.measured.pressing.measures import BAND, figures
 from validation.measured.pressing.mujoco import MuJoCoArm
 from validation.measured.pressing.touchdowns import Touchdown, read
 
@@ -148,6 +148,14 @@ def test_figures_of_a_known_force():
     assert (found.losses, found.peak) == (0, pytest.approx(force[t < 0.06].max(), rel=1e-3))
     lost = np.where((t > 0.5) & (t < 0.6), 0.0, 50.0)
     assert (figures(t, lost, 50.0, 3.0).losses, figures(t, lost, 50.0, 3.0).lost) == (1, pytest.approx(0.1, abs=0.005))
+
+
+def test_a_mean_is_not_read_as_a_swing():
+    """Losses of contact at the ends of the window move its mean alone: the frequency is not the lower end of the band."""
+    t = np.arange(0.0, 4.0, 8e-4)
+    lost = (t < 0.3) | ((t > 1.1) & (t < 1.3))
+    force = np.where(lost, 5.0, 55.0) + 10.0 * np.sin(2.0 * np.pi * 2.0 * t)
+    assert figures(t, force, 55.0, 3.2).frequency > 1.2 * BAND[0]
 
 
 def test_mujoco_has_the_same_machine():

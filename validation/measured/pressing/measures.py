@@ -49,8 +49,11 @@ def figures(time: Array, force: Array, commanded: float, rest: float) -> Figures
     inner = (t > SMOOTH) & (t < rest - SMOOTH)
     outside = np.flatnonzero((np.abs(mean - commanded) > max(WITHIN, SHARE * commanded)) & inner)
     swing = (mean - commanded)[(t > SWING[0]) & (t < SWING[1])]
-    swing -= swing.mean()
-    lines = np.abs(np.fft.rfft(swing * np.hanning(len(swing)), 2**15))
+    # The mean under the window is taken away: of any other mean the window makes a line at 0 Hz, which is wider than
+    # the band is far from it.
+    window = np.hanning(len(swing))
+    swing -= np.average(swing, weights=window)
+    lines = np.abs(np.fft.rfft(swing * window, 2**15))
     at = np.fft.rfftfreq(2**15, STEP)
     seen = (at > BAND[0]) & (at < BAND[1])
     half = len(swing) // 2

@@ -151,7 +151,7 @@ def test_figures_of_a_known_force():
 
 
 def test_a_mean_is_not_read_as_a_swing():
-    """Losses of contact at the ends of the window move its mean alone: the frequency is not the lower end of the band."""
+    """Losses of contact at the ends of the window move its mean: the frequency is not the lower end of the band."""
     t = np.arange(0.0, 4.0, 8e-4)
     lost = (t < 0.3) | ((t > 1.1) & (t < 1.3))
     force = np.where(lost, 5.0, 55.0) + 10.0 * np.sin(2.0 * np.pi * 2.0 * t)

@@ -36,8 +36,6 @@ help(cl.simulate), and so on, says more. Names are loaded when they are first us
 quick.
 """
 
-from __future__ import annotations
-
 from closedloop.command.current_folder import leave_out_current_folder, runs_a_command
 
 leave_out_current_folder(__file__)  # before anything else is imported

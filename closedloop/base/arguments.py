@@ -7,8 +7,6 @@ What is given is refused if it is of another type, and so is a number that is Na
 function itself says. A name of an annotation that its module has only for type checkers is compared by its text.
 """
 
-from __future__ import annotations
-
 import builtins
 import collections.abc
 import inspect
@@ -52,12 +50,12 @@ WORDS = {
 class _Only(type):
     """A class of which only the name is known."""
 
-    def __getattr__(cls, name: str) -> _Only:
+    def __getattr__(cls, name: str) -> "_Only":
         if name.startswith("__"):
             raise AttributeError(name)
         return _Only(name, (), {})
 
-    def __getitem__(cls, _: Any) -> _Only:
+    def __getitem__(cls, _: Any) -> "_Only":
         return cls
 
 

@@ -15,8 +15,6 @@ Python has *named* it (`Family.named`): as that text, as the class, or by an ins
 data and can make no code run, so a name that stands in a file alone is refused (`not_named`), and nothing is imported.
 """
 
-from __future__ import annotations
-
 import inspect
 from collections.abc import Iterator, Mapping
 from functools import cache
@@ -33,7 +31,7 @@ from closedloop.base.sections import Section
 from robot_models.cached import cached_property
 from robot_models.errors import shown
 
-users: dict[str, type[Member]] = {}  # name -> class of every user's member that was named in this process
+users: "dict[str, type[Member]]" = {}  # name -> class of every user's member that was named in this process
 
 
 class Member:

@@ -4,8 +4,6 @@ An existing file is replaced only once the new one is flushed to the disk; a lin
 A temporary file left by a kill has a name that no other program makes, so that `remove_unfinished` may remove it.
 """
 
-from __future__ import annotations
-
 import errno
 import os
 import re
@@ -140,7 +138,7 @@ class FolderLock:
         self._file = file
 
     @classmethod
-    def of(cls, folder: Path) -> FolderLock | None:
+    def of(cls, folder: Path) -> "FolderLock | None":
         """Lock a folder; None if another process, or another lock of this one, has it.
 
         Raises

@@ -7,8 +7,6 @@ key takes one of them, or its own; one that any number may be takes `Unit`:
     force: Annotated[Number, FORCE] = Field(10.0, description=...)
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass

@@ -5,8 +5,6 @@ with --overwrite, and then none of their files is left. Where no folder was name
 A lock on the folder keeps two runs at once out of one folder.
 """
 
-from __future__ import annotations
-
 import itertools
 import json
 from contextlib import suppress
@@ -51,7 +49,7 @@ def _taken(folder: Path, why: str) -> TakenError:
     return error
 
 
-def first_free(folder: Path, question: dict[str, str], overwrite: bool) -> Results:
+def first_free(folder: Path, question: dict[str, str], overwrite: bool) -> "Results":
     """Return where results go if no folder was named: `folder`, or the first of FOLDER-2, FOLDER-3 ... that is free.
 
     Free is what holds no other run, and what no other run is being written into. See `Results`.
@@ -103,7 +101,7 @@ class Results:
             self.__exit__()
             raise
 
-    def __enter__(self) -> Results:
+    def __enter__(self) -> "Results":
         return self
 
     def __exit__(self, *_: object) -> None:

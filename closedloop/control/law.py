@@ -15,8 +15,6 @@ The functions are compiled: they take arrays and numbers, call functions of nump
 the arrays that they are given.
 """
 
-from __future__ import annotations
-
 from typing import Annotated, Any, ClassVar, NamedTuple
 
 from pydantic import Field
@@ -253,7 +251,7 @@ class ControlLaw(Parameters):
         """Tell z of an impact."""
 
 
-def _check_states(law: type[ControlLaw] | type[Compensation], key: str) -> None:
+def _check_states(law: "type[ControlLaw] | type[Compensation]", key: str) -> None:
     """Refuse names of states that are no tuple of names: ("error") without a comma is a text."""
     for attribute in ("states", "joint_states"):
         names: Any = getattr(law, attribute)

@@ -1,7 +1,5 @@
 """A task: a scenario, what an action sets, what is observed, what is rewarded, and what differs between episodes."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -75,7 +73,7 @@ class Task:
             return self.scenario
         return load_scenario(self.scenario, dict(self.overrides))
 
-    def changed(self, changes: Mapping[str, Any]) -> Task:
+    def changed(self, changes: Mapping[str, Any]) -> "Task":
         """Return the task with some attributes replaced.
 
         Raises

@@ -17,8 +17,6 @@ In compiled code a tuple of forty arrays would be passed as three hundred words 
 address and its sizes, and an array view is made where a field is read: see `closedloop.jit.inside.blocks`.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, ClassVar, get_args, get_type_hints
@@ -43,19 +41,19 @@ class Count:
         self.terms = {product: count for product, count in terms.items() if count}
 
     @classmethod
-    def of(cls, x: Count | int | str) -> Count:
+    def of(cls, x: "Count | int | str") -> "Count":
         """Return a number, or a size by its name, as a count."""
         if isinstance(x, Count):
             return x
         return cls({(x,): 1} if isinstance(x, str) else {(): x})
 
-    def __add__(self, other: Count | int) -> Count:
+    def __add__(self, other: "Count | int") -> "Count":
         terms = dict(self.terms)
         for product, count in Count.of(other).terms.items():
             terms[product] = terms.get(product, 0) + count
         return Count(terms)
 
-    def __mul__(self, other: Count | int) -> Count:
+    def __mul__(self, other: "Count | int") -> "Count":
         terms: Terms = {}
         for a, x in self.terms.items():
             for b, y in Count.of(other).terms.items():
@@ -89,7 +87,7 @@ class Layout:
     """
 
     def __init__(
-        self, sizes: Sequence[str], fields: Sequence[tuple[str, tuple[Count | int, ...] | type[Block]]]
+        self, sizes: Sequence[str], fields: "Sequence[tuple[str, tuple[Count | int, ...] | type[Block]]]"
     ) -> None:
         self.sizes = tuple(sizes)
         self.at: dict[str, Count] = {}
@@ -143,7 +141,7 @@ class Layout:
         self._last = memory, sizes, found
         return found
 
-    def sizes_of(self, kind: type[Block], sizes: Sequence[int]) -> tuple[int, ...]:
+    def sizes_of(self, kind: "type[Block]", sizes: Sequence[int]) -> tuple[int, ...]:
         """Return the sizes of a block in this one, whose sizes are given."""
         known = dict(zip(self.sizes, sizes, strict=True))
         return tuple(known[name] for name in kind.layout.sizes)
@@ -164,8 +162,8 @@ class Layout:
 
 
 # All blocks; and what is done with each that is made later, once numba is in use.
-blocks: list[type[Block]] = []
-when_made: list[Callable[[type[Block]], None]] = []
+blocks: "list[type[Block]]" = []
+when_made: "list[Callable[[type[Block]], None]]" = []
 
 
 class Block:

@@ -6,8 +6,6 @@ what it says (`closedloop.lab.actions`). The scenarios that ship are shown as ca
 start.
 """
 
-from __future__ import annotations
-
 import contextlib
 import logging
 import sys
@@ -130,7 +128,7 @@ class Lab:
     def __init__(
         self, history: History, *, law: Any = None, model: RobotModel | None = None, host: str = "127.0.0.1",
         port: int = FIRST_PORT, dark: bool = False, front: bool = False, ghosts: Sequence[Ghost] = (),
-        act: Callable[[Lab, Client, Any], None], details: Callable[[Lab], Any], map_work: Callable[[Lab], Any],
+        act: "Callable[[Lab, Client, Any], None]", details: "Callable[[Lab], Any]", map_work: "Callable[[Lab], Any]",
     ) -> None:  # fmt: skip
         self.answer: Answer | None = None
         self.after_show: list[Callable[[Answer], None]] = []

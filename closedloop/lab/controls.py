@@ -4,8 +4,6 @@ A control knows how to turn what it shows into a value of the scenario and back.
 the key's field; the span of a slider starts from the value that the scenario has.
 """
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
@@ -172,7 +170,7 @@ class Control:
         was, now = float(self.own), float(value[self.index])
         return [now if was == 0.0 else float(f"{now / was * each:.6g}") for each in self.value]
 
-    def with_value(self, value: Any) -> Control:
+    def with_value(self, value: Any) -> "Control":
         """Return this control with another value, in a wider span if need be."""
         changed = replace(self, value=value)
         if self.form in ("linear", "log", "whole"):

@@ -4,8 +4,6 @@ The runs are those of `closedloop.simulate_batch`, some of the map at a time, co
 column, then every fourth, and so on, so that the shape shows early. The page draws it (`web/map.js`).
 """
 
-from __future__ import annotations
-
 import threading
 import time as clock
 from collections.abc import Callable, Iterator
@@ -53,7 +51,7 @@ class Axis:
     together: bool = False
 
     @classmethod
-    def of(cls, control: Control, cells: int = CELLS, together: bool = False) -> Axis:
+    def of(cls, control: Control, cells: int = CELLS, together: bool = False) -> "Axis":
         """Return the axis over the span of a slider: so many of its values, or all if they are fewer."""
         whole = np.round(np.linspace(0.0, control.high - control.low, cells) / control.step)
         shown = np.minimum(control.low + control.step * whole, control.high)

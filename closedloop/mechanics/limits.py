@@ -3,8 +3,6 @@
 Shares form one scale, from EXACT to SMALL, by which everything is compared. `LIMITS` has all limits by name.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple, TypeVar
 
 T = TypeVar("T", float, int, tuple[int, ...])

@@ -4,8 +4,6 @@ variants = Variants(scenario, ("law.force", "law.kp"))
 variants.scenario((12.0, 900.0))
 """
 
-from __future__ import annotations
-
 import tomllib
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress

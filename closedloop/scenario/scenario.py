@@ -3,8 +3,6 @@
 A scenario is data: it can name a robot and numbers, never code. `closedloop.scenario.load` reads one.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from functools import cache
 from typing import Annotated, Any, Literal, Self, get_args
@@ -248,7 +246,7 @@ class Scenario(Section):
             self.__dict__["law"] = self.law.model_copy(update={"force": 0.0})
         return self
 
-    def replace(self, changes: Mapping[str, Any] | None = None, /, **more: Any) -> Scenario:
+    def replace(self, changes: Mapping[str, Any] | None = None, /, **more: Any) -> "Scenario":
         """Return the scenario with other values of some keys: ``scenario.replace({"law.force": 12.0})``.
 
         Keys and values are as `closedloop.load_scenario` takes them; ``**{"law.force": 12.0}`` is the same.

@@ -1,7 +1,5 @@
 """Opening an interface to a scenario: `closedloop.serve`."""
 
-from __future__ import annotations
-
 import logging
 import threading
 from collections.abc import Mapping
@@ -85,7 +83,7 @@ class Served:
             self._run = self.session.run()
         return self._run
 
-    def __enter__(self) -> Served:
+    def __enter__(self) -> "Served":
         return self
 
     def __exit__(self, kind: object, *_: object) -> None:

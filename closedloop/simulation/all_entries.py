@@ -5,8 +5,6 @@ a scenario has an entry for it. A list without that of loop joints that have no 
 they start follows from the posture. A free body starts where `closedloop.scenario.arm.start_positions` has it.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -6,8 +6,6 @@ take most of the 3 ms in which a scenario becomes a `Problem`. The key of an ent
 of. So what is taken over equals what would be made anew to the last bit.
 """
 
-from __future__ import annotations
-
 import threading
 from collections import OrderedDict
 from collections.abc import Callable, Hashable, Iterator, Sequence
@@ -52,7 +50,7 @@ class Cache:
         What was prepared last, whose table is still its own.
     """
 
-    def __init__(self, limit: int = LIMIT, shared: Cache | None = None) -> None:
+    def __init__(self, limit: int = LIMIT, shared: "Cache | None" = None) -> None:
         self._limit, self._shared, self._lock = limit, shared, threading.Lock()
         self._entries: OrderedDict[Hashable, tuple[Any, int]] = OrderedDict()
         self._bytes = 0

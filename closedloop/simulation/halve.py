@@ -1,7 +1,5 @@
 """A run, and the same at half the step: by how much each value differs. So the error of the step is measured."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any

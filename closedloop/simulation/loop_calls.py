@@ -4,8 +4,6 @@ All that steps one problem does so by a `Driver` and by `drive`: `closedloop.sim
 `closedloop.simulation.stepper` from row to row, the adaptive integrator from state to state.
 """
 
-from __future__ import annotations
-
 import time as clock
 from collections.abc import Callable
 from contextlib import suppress

@@ -4,8 +4,6 @@ What reads a scenario, parts, or a problem, is given one that notes what is read
 can be forgotten.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from itertools import compress
 from operator import is_not, itemgetter

@@ -3,8 +3,6 @@
 Where the tip is to the surface at the start: on it, off it, or refused.
 """
 
-from __future__ import annotations
-
 from collections.abc import Hashable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace

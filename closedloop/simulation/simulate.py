@@ -5,8 +5,6 @@ From the rows of a problem to its run: columns, energies, and what made it.
 From a scenario to a run: prepare the problem, step it, and return the record.
 """
 
-from __future__ import annotations
-
 import time as clock
 from collections.abc import Callable, Mapping
 from contextlib import nullcontext
@@ -100,7 +98,7 @@ class _Source(NamedTuple):
     scenario: Scenario
 
     @classmethod
-    def of(cls, problem: Problem, rows: Array, table: Array, events: Array, first: int = 0) -> _Source:
+    def of(cls, problem: Problem, rows: Array, table: Array, events: Array, first: int = 0) -> "_Source":
         """Return what the columns of rows, with the table of what is desired from the first of them on, are made of."""
         robot = problem.robot
         wanted = table[: len(rows) * problem.nodes : problem.nodes, : Reference.count(robot.n)].copy()

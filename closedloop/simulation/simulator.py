@@ -7,8 +7,6 @@ while not sim.done:
 run = sim.run()
 """
 
-from __future__ import annotations
-
 import math
 import time as clock
 
@@ -54,7 +52,7 @@ class SavedState:
 
     __slots__ = ("_batch", "_drivers", "_now", "_owner", "_stepper")
 
-    def __init__(self, owner: Simulator, stepper: Stepper, now: _Now, drivers: dict[str, str]) -> None:
+    def __init__(self, owner: "Simulator", stepper: Stepper, now: _Now, drivers: dict[str, str]) -> None:
         self._owner, self._stepper, self._now, self._drivers = owner, stepper, now, drivers
         self._batch = stepper.batch()
 

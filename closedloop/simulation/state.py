@@ -1,7 +1,5 @@
 """What a simulation that is stepped from outside shows at an instant."""
 
-from __future__ import annotations
-
 import math
 from functools import cache
 

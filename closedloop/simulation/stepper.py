@@ -5,8 +5,6 @@ copy of the loop's memory just before that call. A torque that is given once the
 the memory is put back to the mark, and the row is recorded anew.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from struct import Struct
 from typing import Any, cast

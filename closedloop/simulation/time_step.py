@@ -1,7 +1,5 @@
 """What depends on the time step: the scheme, the stabiliser's gains, how stiff a soft surface may be."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -16,8 +16,6 @@ Hemami, An overview of robot force control, Robotica 15(5), 1997. M, g, B and v_
 its own mass, gain scaling, damping and speed limit.
 """
 
-from __future__ import annotations
-
 from typing import Annotated, Any, ClassVar
 
 from pydantic import Field

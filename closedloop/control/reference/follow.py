@@ -8,8 +8,6 @@ interpolated path is within `PATH_TOLERANCE` of the path midway between them. So
 the same for every step size and integrator.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 from typing import Any, NamedTuple
@@ -93,7 +91,7 @@ class Follower(NamedTuple):
     axes: Array
 
     @classmethod
-    def of(cls, robot: Robot, q: Array, held: Orientation) -> Follower:
+    def of(cls, robot: Robot, q: Array, held: Orientation) -> "Follower":
         """Return who follows, of an arm that begins at joint positions q (n,)."""
         free = held.rows == POSITION
         return cls(robot, held, np.zeros((3, 3)) if free else np.ascontiguousarray(held.in_link(robot, q)))

@@ -11,8 +11,6 @@ The joints' path q_des(t), with q̇_des(t) and q̈_des(t), is a cubic Hermite sp
 after.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -42,7 +40,7 @@ class JointPath:
     v: Array
 
     @classmethod
-    def hold(cls, q: Array) -> JointPath:
+    def hold(cls, q: Array) -> "JointPath":
         """Make the path that stays at joint positions q (n,)."""
         return cls(np.zeros(1), q[None, :].copy(), np.zeros((1, q.size)))
 

@@ -6,8 +6,6 @@ the terms of the state after that, the modes of all contacts are found (`closedl
 to which something happened has its own row in the table.
 """
 
-from __future__ import annotations
-
 import math
 
 from closedloop.base.arrays import Array

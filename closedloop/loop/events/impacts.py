@@ -1,7 +1,5 @@
 """Impacts of the tip: their impulses, the mode after them, and their rows in the table of events."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from closedloop.base.arrays import Array

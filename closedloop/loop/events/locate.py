@@ -1,7 +1,5 @@
 """The instant of an event: the event function, negative once a mode has ended, and the bracket around its root."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

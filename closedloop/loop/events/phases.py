@@ -1,7 +1,5 @@
 """Phases and actions of `closedloop.loop.events.proceed`, and the tolerances of events."""
 
-from __future__ import annotations
-
 from closedloop.jit.kernel import kernel_inlined
 from closedloop.loop.step.memory import State
 

@@ -26,8 +26,6 @@ What begins and ends between two evaluations is not detected: a negative f that 
 penetrates and rises again in one step after moving up at its beginning.
 """
 
-from __future__ import annotations
-
 from closedloop.base.arrays import Array
 from closedloop.jit.dual8 import has_derivatives
 from closedloop.jit.kernel import inlined_kernel

@@ -1,7 +1,5 @@
 """Projection of a state onto the closure, at position and velocity level."""
 
-from __future__ import annotations
-
 from closedloop.base.arrays import Array
 from closedloop.jit.dual8 import has_derivatives, sought
 from closedloop.jit.kernel import kernel

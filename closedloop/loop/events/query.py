@@ -1,7 +1,5 @@
 """What an integrator that evaluates any state at any instant is told of one: the phase QUERY of `proceed`."""
 
-from __future__ import annotations
-
 from closedloop.base.arrays import Array
 from closedloop.jit.kernel import kernel
 from closedloop.loop.events.locate import event_function, slip_margin

@@ -1,7 +1,5 @@
 """The beginning and the end of a substep."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from closedloop.base.arrays import Array

@@ -3,8 +3,6 @@
 Impulses are events and never part of the contact force.
 """
 
-from __future__ import annotations
-
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np

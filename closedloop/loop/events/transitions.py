@@ -1,7 +1,5 @@
 """What an event does: the end of contact, of slip or of sticking, and the mode that follows."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -25,8 +25,6 @@ order (H. Munthe-Kaas, Applied Numerical Mathematics 29, 1999). The semi-implici
 is as accurate as the rotation's arithmetic whatever happens: its quaternion has length one to rounding.
 """
 
-from __future__ import annotations
-
 import math
 
 from closedloop.base.arrays import Array

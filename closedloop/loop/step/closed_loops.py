@@ -9,8 +9,6 @@ So with P X for X and P y + y_b for y, Eq. 24, friction, impact and the mobility
 tree. The loops take what they bind, whatever acts.
 """
 
-from __future__ import annotations
-
 from closedloop.base.arrays import Array
 from closedloop.control.law import Perceived
 from closedloop.jit.calls import integers_at, row_of

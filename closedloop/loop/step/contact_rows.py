@@ -4,8 +4,6 @@ A contact with a surface that is curved or moves has rows x, y, z of the frame t
 t1, t2 of the surface at the point; a stop of a joint has the row ± q̇ of it, one of a tendon likewise.
 """
 
-from __future__ import annotations
-
 import math
 
 from closedloop.base.arrays import Array

@@ -6,8 +6,6 @@ all contacts, likewise, the acceleration of the contacts is u̇ = X y + drift + 
 after them the modes.
 """
 
-from __future__ import annotations
-
 import math
 
 from closedloop.jit.calls import integers_at, row_of

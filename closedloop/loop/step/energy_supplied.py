@@ -17,8 +17,6 @@ It counts from row 0, which holds the state after the events of t = 0: what thes
 With elastic joints the arm ends at the links: Q is then what they pass on to these.
 """
 
-from __future__ import annotations
-
 from closedloop.jit.kernel import kernel_inlined
 from closedloop.loop.step.memory import State, Work
 

@@ -11,8 +11,6 @@ Entries: the functions by which the loop calls the plug-ins of a scenario, compi
 An entry takes the address of the loop's memory, and calls the member's functions with their arguments.
 """
 
-from __future__ import annotations
-
 from functools import cache
 from typing import Any
 

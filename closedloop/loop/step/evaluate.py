@@ -8,8 +8,6 @@ else
 (other laws, friction of the tip and of the joints, a force sensor) it is the address of the law's entry.
 """
 
-from __future__ import annotations
-
 from closedloop.base.arrays import Array
 from closedloop.control.drives import cut_torque
 from closedloop.control.law import Perceived

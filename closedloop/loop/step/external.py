@@ -6,8 +6,6 @@ The law does not know of them. With a fixed step a force acts with the share of 
 its impulse is exact wherever it begins and ends; an adaptive integrator divides the run at these instants.
 """
 
-from __future__ import annotations
-
 from closedloop.base.arrays import Array
 from closedloop.jit.calls import integers_at, row_of, vector_at
 from closedloop.jit.kernel import entry_kernel, kernel

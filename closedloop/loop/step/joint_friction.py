@@ -7,8 +7,6 @@ is solved for all joints together with the contact force, by projected Gauss-Sei
 each joint (Moreau's time stepping). Friction then never adds energy, and no joint chatters about rest.
 """
 
-from __future__ import annotations
-
 from closedloop.base.arrays import Array
 from closedloop.jit.calls import call_at, integers_at, row_of
 from closedloop.jit.kernel import kernel

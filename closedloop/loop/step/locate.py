@@ -12,8 +12,6 @@ Of a plane at rest the frame is constant; any other surface is asked, by address
 (`closedloop.mechanics.surface.contact`).
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 from closedloop.base.arrays import Array

@@ -6,8 +6,6 @@ so all memory of the loop is passed as three.
 The loop's memory, made in Python.
 """
 
-from __future__ import annotations
-
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np

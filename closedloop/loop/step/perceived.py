@@ -12,8 +12,6 @@ Eq. 24. See `closedloop.loop.events.proceed`, phase MEASURED. Of a mechanism wit
 are closed: what it sees is the state nearest to the readings at which they are.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The rows of the record: their columns, and the kernel that writes one."""
 
-from __future__ import annotations
-
 import math
 from typing import Annotated, Any
 

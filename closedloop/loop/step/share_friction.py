@@ -10,8 +10,6 @@ and f is what then balances: the f of an arm without friction, if that is at res
 F_t weighs more, as much as it takes. So f depends on the state alone, not on the rounding of a velocity.
 """
 
-from __future__ import annotations
-
 import math
 
 from closedloop.base.arrays import Array

@@ -15,8 +15,6 @@ a way that turns as ε/ℓ: its acceleration along n is 2 ε (ℓ̇/ℓ)² off, 
 be told on the way (ROUNDING), f is its limit, as in the pose itself.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Annotated
 

@@ -3,8 +3,6 @@
 Contact with a soft surface: f is a function of the depth, and Eq. 24 has no row along the normal.
 """
 
-from __future__ import annotations
-
 from functools import cache
 
 from closedloop.base.arrays import Array

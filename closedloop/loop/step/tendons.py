@@ -5,8 +5,6 @@ Joints, and the tendons with dry friction or stops, in one row: joint r for r < 
 The largest torques of dry friction in the joints, and forces of that in tendons.
 """
 
-from __future__ import annotations
-
 from closedloop.base.arrays import Array
 from closedloop.jit.calls import call_at
 from closedloop.jit.kernel import kernel

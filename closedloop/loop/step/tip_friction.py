@@ -1,7 +1,5 @@
 """Friction between tip and surface inside a step: what its law makes of the present slip, and where it points."""
 
-from __future__ import annotations
-
 import math
 
 from closedloop.base.arrays import Array

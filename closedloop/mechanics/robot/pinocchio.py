@@ -1,7 +1,5 @@
 """The interface to Pinocchio: the only file that calls it for a robot's mechanics."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterable
 from functools import lru_cache
@@ -113,7 +111,7 @@ class Robot:
             data.a_gf[carrier].vector,
         )
 
-    def again(self) -> Robot:
+    def again(self) -> "Robot":
         """Return the same robot with memory of its own."""
         return Robot(self.model, self.tip, self.moved)
 

@@ -1,7 +1,5 @@
 """A surface in its place: what is asked of it from Python, and the memory that the loop asks it by; and the plane."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -112,7 +110,7 @@ class Plane:
     offset: float
 
     @classmethod
-    def of(cls, normal: ArrayLike, offset: float) -> Plane:
+    def of(cls, normal: ArrayLike, offset: float) -> "Plane":
         """Make a plane from any non-zero normal, which is normalised; `offset` refers to the unit normal.
 
         Raises
@@ -127,7 +125,7 @@ class Plane:
         return cls(n, float(offset))
 
     @classmethod
-    def through(cls, point: ArrayLike, normal: ArrayLike) -> Plane:
+    def through(cls, point: ArrayLike, normal: ArrayLike) -> "Plane":
         """Make the plane with this normal through `point` (3,), m, base frame."""
         plane = cls.of(normal, 0.0)
         return cls(plane.normal, float(plane.normal @ np.asarray(point, dtype=np.float64)))
@@ -168,7 +166,7 @@ class PlacedSurface:
     def of(
         cls, section: Surface, motion: SurfaceMotion, tip: Array, depth: float = 0.0, radius: float = 0.0,
         where: str = "surface",
-    ) -> PlacedSurface:  # fmt: skip
+    ) -> "PlacedSurface":  # fmt: skip
         """Place the surface of a scenario whose tip is at `tip` (3,), m, base frame, at the start.
 
         One that is soft, and placed below the tip, is placed so that the tip is `depth` in it, m. The tip is the centre
@@ -187,7 +185,7 @@ class PlacedSurface:
         origin = tip - (radius + section.gap - depth) * normal if given is None else given
         return cls(section, motion, contact_frame(normal), origin, given is None, radius, where)
 
-    def below(self, tip: Array, depth: float) -> PlacedSurface:
+    def below(self, tip: Array, depth: float) -> "PlacedSurface":
         """Return it where `of` places it for another tip at the start."""
         if not self.below_start:
             return self

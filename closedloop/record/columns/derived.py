@@ -14,8 +14,6 @@ of other links, of loop joints and from outside (R. Featherstone, Rigid Body Dyn
 the joint's own axis it is what drive, friction, spring and stop give together.
 """
 
-from __future__ import annotations
-
 import json
 import re
 from collections.abc import Callable, Mapping
@@ -231,7 +229,7 @@ class StatesOf(NamedTuple):
     n: int  # joints
 
     @classmethod
-    def of(cls, scenario: Scenario, n: int) -> StatesOf:
+    def of(cls, scenario: Scenario, n: int) -> "StatesOf":
         """Return that of a scenario."""
         law, compensation = scenario.law, scenario.compensation
         kinds = law.kind, compensation.kind

@@ -6,8 +6,6 @@ checker refuses other names; a test compares them with what a run has. Columns t
 of a law of one's own, are not among them: ``run["law_error"]``.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, Protocol, get_type_hints

@@ -1,7 +1,5 @@
 """The verdict of the control of a run of a batch, from its rows, or from what the lanes keep of them."""
 
-from __future__ import annotations
-
 import math
 from functools import lru_cache
 from typing import Any

@@ -4,8 +4,6 @@ Python handles signals (Ctrl-C) in the main thread only. So the main thread only
 writing a file, is interrupted, and Ctrl-C is handled at once.
 """
 
-from __future__ import annotations
-
 import itertools
 import threading
 from collections.abc import Callable, Iterator

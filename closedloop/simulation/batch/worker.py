@@ -7,8 +7,6 @@ Runs of one kind go eight at a time in SIMD lanes (`closedloop.simulation.engine
 last bit.
 """
 
-from __future__ import annotations
-
 import logging
 import math
 import traceback

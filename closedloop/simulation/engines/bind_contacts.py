@@ -1,7 +1,5 @@
 """What the sections [[contact]] of a scenario ask for, as the rows that the loop reads; and what is wrong with them."""
 
-from __future__ import annotations
-
 import math
 from difflib import get_close_matches
 from typing import Any, NamedTuple

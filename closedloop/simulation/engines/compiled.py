@@ -13,8 +13,6 @@ dual numbers is compiled. The arrays are those of the entries that they stand fo
 compiled.run_compiled` and `closedloop.record.report.measured.measure_rows`.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from closedloop.base.arrays import Array

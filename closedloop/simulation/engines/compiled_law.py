@@ -1,8 +1,6 @@
 """A law of one's own that numba compiles, as the entry that the loop calls; see
 `closedloop.simulation.engines.user_law`."""
 
-from __future__ import annotations
-
 import math
 from functools import lru_cache
 from types import BuiltinFunctionType, FunctionType

@@ -4,8 +4,6 @@ The memory of a prepared run is copied, eight numbers for each of its floats. Ev
 they are how a scenario's numbers enter a run, whichever they are.
 """
 
-from __future__ import annotations
-
 from collections.abc import Collection, Sequence
 from typing import Any, NamedTuple
 

@@ -1,7 +1,5 @@
 """Statuses of the loop as errors with a message."""
 
-from __future__ import annotations
-
 import sys
 from traceback import extract_tb
 from typing import Any

@@ -5,8 +5,6 @@ moves) is asked lane by lane, in the memory of each run's loop. A number for eac
 on as it is: what is tested for here may be less than an event, never more.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 from closedloop.base.arrays import Array, IntArray

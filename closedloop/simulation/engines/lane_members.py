@@ -5,8 +5,6 @@ other. A lane in which something may happen goes back to its last row, from whic
 next; then the lane has the state that its loop has. So every number is that of the run by itself.
 """
 
-from __future__ import annotations
-
 from typing import Annotated
 
 from closedloop.base.arrays import Array, IntArray

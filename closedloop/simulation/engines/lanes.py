@@ -10,8 +10,6 @@ run of which one may not say that nothing happens in a step takes that step by i
 If one of the eight cannot go on, the loop returns a status, and each of the eight is run by itself.
 """
 
-from __future__ import annotations
-
 from typing import Any, NamedTuple
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A user's law as source: how it is called, the line at which it failed, and a digest of its text."""
 
-from __future__ import annotations
-
 import inspect
 import math
 import os

@@ -8,8 +8,6 @@ paper's law on a smooth surface go eight at a time in SIMD lanes instead (`close
 How many evaluations a loop does before it returns to Python, where Ctrl-C has its effect.
 """
 
-from __future__ import annotations
-
 import time as clock
 from collections.abc import Callable
 

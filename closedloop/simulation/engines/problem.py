@@ -1,7 +1,5 @@
 """A scenario as numbers: everything that the loop needs, open to inspection before it runs."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from typing import Any, Self
 

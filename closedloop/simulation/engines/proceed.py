@@ -4,8 +4,6 @@ The Pinocchio engine calls it from Python with the results of Pinocchio's two pa
 (`closedloop.simulation.engines.compiled`) by its address with terms of our own.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from closedloop.base.arrays import Array

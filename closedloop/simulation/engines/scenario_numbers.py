@@ -7,8 +7,6 @@ What a scenario needs of the loop: a law at its address, columns of the record, 
 The numbers of a scenario, and what follows from them directly.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -198,7 +196,7 @@ class Layout(NamedTuple):
     settings: tuple[tuple[str, int], ...]  # of `closedloop.loop.step.memory.Settings`
 
     @classmethod
-    def of(cls, scenario: Scenario, model: RobotModel) -> Layout:
+    def of(cls, scenario: Scenario, model: RobotModel) -> "Layout":
         """Return that of a scenario with a robot."""
         states, general = StatesOf.of(scenario, model.n), calls_law(scenario, model)
         entries, settings = entries_of(scenario, model, general), settings_of(scenario, model)
@@ -208,7 +206,7 @@ class Layout(NamedTuple):
     def joined(
         cls, scenario: Scenario, states: StatesOf, general: bool, entries: tuple[tuple[str, Any], ...],
         settings: tuple[tuple[str, int], ...],
-    ) -> Layout:  # fmt: skip
+    ) -> "Layout":  # fmt: skip
         """Return that of its parts."""
         sections, arm, of_law = scenario.contact or (), arm_columns(scenario), recorded_states(states)
         resists = any(each.resists for each in sections)
@@ -249,7 +247,7 @@ class Shape(NamedTuple):
     def of(
         cls, law: PackedLaw, compensation: PackedLaw, friction: PackedLaw, joints: PackedLaw, compliance: PackedLaw,
         sensor: PackedSensor, tendons: Array,
-    ) -> Shape:  # fmt: skip
+    ) -> "Shape":  # fmt: skip
         """Return that of what is called."""
         sizes = (
             law.numbers.size, compensation.numbers.size, friction.numbers.size, joints.numbers.shape[1],

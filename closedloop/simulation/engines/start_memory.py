@@ -7,8 +7,6 @@ The first reading of encoders, before a run begins or where it goes on.
 The loop's memory at t = 0: its constants, its whole-number state, and where the run starts.
 """
 
-from __future__ import annotations
-
 from typing import Any, NamedTuple
 
 import numpy as np

@@ -14,8 +14,6 @@ run. A law that needs parameters in the scenario, or states that are integrated,
 `closedloop.control.law.ControlLaw`.
 """
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Callable
 from typing import Any
@@ -85,7 +83,7 @@ class UserLaw:
         if self._usual_hook is not None:
             sys.unraisablehook, self._usual_hook = self._usual_hook, None
 
-    def _keep_interruption(self, lost: sys.UnraisableHookArgs) -> None:
+    def _keep_interruption(self, lost: "sys.UnraisableHookArgs") -> None:
         """Keep what was raised as the law was entered, and end the run at the state that it was entered for.
 
         A signal that comes while compiled code runs is answered as soon as Python runs: at the entry of `_entry`, where

@@ -1,7 +1,5 @@
 """Several simulations of the same arm, stepped side by side from control instant to control instant."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait

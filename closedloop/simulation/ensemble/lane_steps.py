@@ -10,8 +10,6 @@ with it) is left as it was, and its member is stepped by itself. What is tested 
 never more.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

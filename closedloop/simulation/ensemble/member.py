@@ -6,8 +6,6 @@ So the loop's memory is copied just before that row is evaluated (the mark), and
 `closedloop.simulation.stepper` does it: what happens is to the same bits what `closedloop.Simulator` does.
 """
 
-from __future__ import annotations
-
 from typing import Annotated
 
 import numpy as np

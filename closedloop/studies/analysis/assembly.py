@@ -16,8 +16,6 @@ torque, the encoders. The result is x⁺ = A x + B u, y = C x + D u from one sam
 law to the next.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import expm

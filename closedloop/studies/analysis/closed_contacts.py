@@ -4,8 +4,6 @@ A rigid one that slides binds n, one that sticks t1 and t2 as well, like rows of
 along n. The forces are those that the run's own kernel solves for in these modes.
 """
 
-from __future__ import annotations
-
 from operator import attrgetter
 from typing import Any
 

@@ -4,8 +4,6 @@ An evaluation is one call of the loop's own kernel at a row: law, friction, cont
 nothing is written twice. White noise and quantisation, which have no derivative, are left out of it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace

@@ -8,8 +8,6 @@ delay margin     the delay that the loop may have in addition: phase margin over
 modulus margin   the least distance of L from −1, 1/max|S|: it bounds all of them from below
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import asdict, dataclass

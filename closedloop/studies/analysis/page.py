@@ -1,7 +1,5 @@
 """A page about a force loop, and what a display shows at once."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field
 from typing import Any

@@ -12,8 +12,6 @@ The coordinates are laid out as y, e | w, ė | z | s, ṡ: of e those rows that 
 the surface.
 """
 
-from __future__ import annotations
-
 from contextlib import suppress
 
 import numpy as np

@@ -5,8 +5,6 @@ motion, that of the scenario as it is: a loop that is unstable has none of its o
 the tip is put as deep as carries the same force.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass

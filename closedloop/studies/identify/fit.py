@@ -19,8 +19,6 @@ instrumental variable approach for industrial robot identification, IEEE Trans. 
 132-145.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

@@ -1,18 +1,14 @@
 """A log: what was measured of a robot that moved, by joint, and whether it can be what it says."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from closedloop.base.arguments import fields_checked
 from closedloop.base.arrays import Array
 from closedloop.base.errors import ModelError
-
-if TYPE_CHECKING:
-    from robot_models import RobotModel
+from robot_models import RobotModel
 
 # A joint angle above this, in rad, is taken for one in degrees.
 LARGEST_TURN = 30.0
@@ -74,7 +70,7 @@ class Log:
         """Time between two rows, s."""
         return float((self.time[-1] - self.time[0]) / (len(self.time) - 1))
 
-    def part(self, first: float, last: float) -> Log:
+    def part(self, first: float, last: float) -> "Log":
         """Return the rows between two shares of the log: ``part(0, 0.75)`` is its first three quarters."""
         N = len(self.time)
         rows = slice(round(first * N), round(last * N))

@@ -8,8 +8,6 @@ model, ICRA 1997; A. Janot, P.-O. Vandanjon, M. Gautier, A generic instrumental 
 identification, IEEE Trans. Control Systems Technology 22 (2014) 132-145.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

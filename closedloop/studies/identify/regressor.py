@@ -26,11 +26,9 @@ identification of robots with a dry friction model depending on load and velocit
 calculation of the base inertial parameters of robots, J. Robotic Systems 8 (1991) 485-506.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,10 +37,7 @@ from scipy import linalg
 from closedloop.base.arrays import Array
 from closedloop.base.errors import ModelError
 from closedloop.studies.identify.motion import Motion
-
-if TYPE_CHECKING:
-    from robot_models import RobotModel
-
+from robot_models import RobotModel
 
 Columns = Callable[[Array, Array, Array], Array]
 

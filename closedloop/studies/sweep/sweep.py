@@ -5,8 +5,6 @@ for a robot that is a file, that file at the same path. It receives plain text a
 Parts are submitted as earlier ones return, so that a long sweep takes no more memory than a short one, on either side.
 """
 
-from __future__ import annotations
-
 import asyncio
 import itertools
 import logging
@@ -73,7 +71,7 @@ class Sweep:
     @classmethod
     def of(
         cls, scenario: Scenario, design: Design, keep: Iterable[str] = (), engine: str = COMPILED, law: str = ""
-    ) -> Sweep:
+    ) -> "Sweep":
         """Return a sweep that can begin; `law` is MODULE:FUNCTION, imported here, or "" for the scenario's own.
 
         Raises

@@ -24,8 +24,6 @@ needs a step or two for each halving of it.
 Intervals, steps, events and rows of a run by scipy's DOP853.
 """
 
-from __future__ import annotations
-
 import math
 import time as clock
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """The loop's memory for an integrator that evaluates any state at any instant, and the calls on it."""
 
-from __future__ import annotations
-
 import time as clock
 from collections.abc import Callable
 from typing import Any

@@ -8,23 +8,18 @@ are interpolated at Chebyshev nodes inside it: at the end of an interval they ha
 right limit.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.polynomial.chebyshev import chebfit, chebpts1, chebval
 from scipy.optimize import brentq, minimize_scalar
 
 from closedloop.base.arrays import Array
+from closedloop.control.reference.desired import Desired
 from closedloop.control.reference.force import SineForceSection, StepForceSection, WaypointForceSection
-
-if TYPE_CHECKING:
-    from closedloop.control.reference.desired import Desired
-
 
 # Intervals of a step at whose ends the event function is evaluated: enough for its extrema within a step of an
 # integrator of order eight with a small tolerance.

@@ -18,8 +18,6 @@ stick, or turns round, do not count. F_t across u has to vanish: it does not if 
 not the same in all directions.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d

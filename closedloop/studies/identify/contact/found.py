@@ -19,8 +19,6 @@ torques jump, or a drive holds them for a sample, they are half a row from the a
 not known better than that.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 
@@ -179,7 +177,7 @@ class Windows:
     cutoff: float  # Hz
 
     @classmethod
-    def of(cls, touch: Touch, cutoff: float | None) -> Windows:
+    def of(cls, touch: Touch, cutoff: float | None) -> "Windows":
         """Filter, differentiate and average a log with a force."""
         assert touch.force is not None
         log = Log(touch.time, touch.position, touch.force, source=touch.source)

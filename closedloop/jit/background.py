@@ -1,8 +1,8 @@
 """Compiling in a background process, while the run is interpreted.
 
 A process has low priority, no terminal and no output, outlives the one that started it, and writes compiled code into
-the cache's folder. In each folder there is at most one and, with a second core, another. It holds a lock on a file
-there, inherited from the process that started it and released when it ends.
+the cache's folder. In each folder there is at most one. It holds a lock on the folder's marker, inherited from the
+process that started it and released when it ends.
 With ``CLOSEDLOOP_BACKGROUND_COMPILE=0`` there are no such processes: code is compiled before it is run.
 """
 
@@ -12,12 +12,11 @@ import subprocess
 import sys
 import threading
 import time as clock
-from collections.abc import Callable, Collection, Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from closedloop.base.second_process import cores
-from closedloop.jit.cache_folder import MARKER, SECOND_LOCK, cache_folder, claim, why_not_kept
+from closedloop.jit.cache_folder import MARKER, cache_folder, claim, why_not_kept
 from closedloop.jit.kernel import jit_disabled, needs_compiling, plain_numba
 
 try:
@@ -40,10 +39,9 @@ class Long(NamedTuple):
     seconds: float
 
 
-class Share(NamedTuple):
-    """What one process in the background compiles, in this order; its lock, and when it was started, s."""
+class Asked(NamedTuple):
+    """What a process in the background compiles, in this order, and when it was started, s."""
 
-    lock: str
     functions: Sequence[Callable[..., Any]]
     began: float
 
@@ -60,7 +58,7 @@ TAKES_LONG = {
     "walk": Long("the inverse kinematics of a path", 4.0),
     "along_path": Long("loops along a path", 3.0),
 }
-BRIEF, VERY_LONG = 1.5, 10.0  # s, of the others, and of those that are shared first
+BRIEF = 1.5  # s, of the others
 OF_A_CORE = 0.6  # what a process has of one while another interprets, with two
 # How long `wait_until_done` waits at most, unless it is told otherwise, and between two looks, s.
 PATIENCE, BETWEEN_LOOKS = 180.0, 0.1
@@ -92,7 +90,7 @@ compile_these(sys.argv[3:])
 """
 
 _lock = threading.Lock()
-_asked: list[Share] = []  # of this process
+_asked: list[Asked] = []  # of this process
 _waited_for: set[str] = set()  # names of what this process has waited for
 _said: set[str] = set()  # of what sort a line has been said already
 _BEHIND, _WAITING, _HERE = "in the background", "waiting", "here"
@@ -115,61 +113,38 @@ def refused() -> str:
 left_to_another = False
 
 
-def _shares(functions: Sequence[Callable[..., Any]]) -> dict[str, list[Callable[..., Any]]]:
-    """Return what each of the processes compiles, in this order, by its lock: about the same time for each.
-
-    What takes very long is shared first, so that what is needed with it goes to the other one. What comes after that
-    can wait, and follows it: with two processes at work all the time the run itself would take longer.
-    """
-    shares: dict[str, list[Callable[..., Any]]] = {lock: [] for lock in (MARKER, SECOND_LOCK)[: cores()]}
-    long = [place for place, function in enumerate(functions) if seconds_of([function]) >= VERY_LONG]
-    needed = functions[: long[-1] + 1 if long else 0]
-    for function in sorted(needed, key=lambda each: seconds_of([each]) < VERY_LONG):
-        min(shares.values(), key=seconds_of).append(function)
-    last = next((share for share in shares.values() if needed and needed[-1] in share), shares[MARKER])
-    last.extend(functions[len(needed) :])
-    return {lock: sorted(share, key=functions.index) for lock, share in shares.items() if share}
-
-
 def start(functions: Sequence[Callable[..., Any]], quietly: bool = False) -> None:
-    """Start processes that compile entry kernels in this order, unless such are running or these were requested before.
+    """Start a process that compiles entry kernels in this order, unless one is running or these were requested before.
 
     A line says so where that takes long, unless `quietly`.
     """
     with _lock:
-        asked = [each for share in _asked for each in share.functions]
+        asked = [each for one in _asked for each in one.functions]
         new = [function for function in functions if function not in asked]
         if not new or left_to_another or refused():
             return
         names = [function.__name__ for function in new]
+        what = f"compiling {_named(names)}"
         if reason := why_not_kept():
-            _say(_BEHIND, f"compiling {_named(names)} would take longer than this run, and cannot be kept: {reason}")
+            _say(_BEHIND, f"{what} would take longer than this run, and cannot be kept: {reason}")
             return
         loud = not quietly and not TAKES_LONG.keys().isdisjoint(names)
-        for lock, share in _shares(new).items():
-            _start_one(lock, share, loud, _named(names))
-
-
-def _start_one(file: str, functions: list[Callable[..., Any]], loud: bool, what: str) -> None:
-    """Start the process of one lock, unless it is running."""
-    lock = _take_lock(file)
-    if lock is None:
+        lock = _take_lock()
+        if lock is None:
+            if loud:
+                _say(_BEHIND, f"{what} in another process; this run is interpreted meanwhile")
+            return
+        try:
+            _spawn(names, lock)
+        except (OSError, subprocess.SubprocessError) as error:  # no process or memory is left
+            _say(_BEHIND, f"{what} in the background is not possible: {error}; it is interpreted")
+            return
+        finally:
+            os.close(lock)
+        _asked.append(Asked(new, clock.monotonic()))
         if loud:
-            _say(_BEHIND, f"compiling {what} in another process; this run is interpreted meanwhile")
-        return
-    try:
-        _spawn([function.__name__ for function in functions], lock)
-    except (OSError, subprocess.SubprocessError) as error:  # no process or memory is left
-        _say(_BEHIND, f"compiling {what} in the background is not possible: {error}; it is interpreted")
-        return
-    finally:
-        os.close(lock)
-    _asked.append(Share(file, functions, clock.monotonic()))
-    if loud:
-        _say(
-            _BEHIND,
-            f"compiling {what} in the background, once for this installation; this run is interpreted meanwhile",
-        )
+            said = f"{what} in the background, once for this installation; this run is interpreted meanwhile"
+            _say(_BEHIND, said)
 
 
 def make_ready(*functions: Callable[..., Any]) -> None:
@@ -183,7 +158,7 @@ def make_ready(*functions: Callable[..., Any]) -> None:
     long = not TAKES_LONG.keys().isdisjoint(names)
     new = [function for function in missing if function.__name__ not in _waited_for]
     soon = bool(new) and seconds_left(missing) < WORTH_WAITING * seconds_of(missing)
-    if soon and not refused() and not why_not_kept() and _at_work(new):
+    if soon and not refused() and not why_not_kept() and _at_work():
         _waited_for.update(names)
         if long:
             _say(_WAITING, f"compiling {_named(names)}: waiting for the process that does it in the background ...")
@@ -194,7 +169,7 @@ def make_ready(*functions: Callable[..., Any]) -> None:
 
 
 def wait_until_done(functions: Sequence[Callable[..., Any]] = (), patience: float = PATIENCE) -> bool:
-    """Wait for the processes in the background, if there are any, so many seconds at most, or until these are there.
+    """Wait for the process in the background, if there is one, so many seconds at most, or until these are there.
 
     Returns whether there were any functions, and they are.
     """
@@ -202,7 +177,7 @@ def wait_until_done(functions: Sequence[Callable[..., Any]] = (), patience: floa
     while True:
         missing = list(filter(needs_compiling, functions))
         done = bool(functions) and not missing
-        if done or clock.monotonic() > until or not _at_work(missing):
+        if done or clock.monotonic() > until or not _at_work():
             return done
         clock.sleep(BETWEEN_LOOKS)
 
@@ -220,10 +195,10 @@ def seconds_to_compile(functions: Iterable[Callable[..., Any]]) -> float:
 def seconds_left(functions: Iterable[Callable[..., Any]]) -> float:
     """Return how long, about, s, it takes until these entry kernels are compiled in the background, if one waits.
 
-    Who waits leaves a core to each process, which compiles in its order. Until now a process has had part of a core.
+    Who waits leaves it a core. Until now it has had part of one.
     """
     missing, times = list(filter(needs_compiling, functions)), [0.0]
-    for _, asked, began in _asked:
+    for asked, began in _asked:
         wanted = [place for place, function in enumerate(asked) if function in missing]
         if wanted:
             times.append(seconds_of(asked[: wanted[-1] + 1]) - OF_A_CORE * (clock.monotonic() - began))
@@ -275,10 +250,10 @@ def _spawn(names: Sequence[str], lock: int) -> None:
     )  # fmt: skip
 
 
-def _take_lock(file: str) -> int | None:
-    """Return a file of the folder, opened and locked; None if a process that compiles has it."""
+def _take_lock() -> int | None:
+    """Return the folder's marker, opened and locked; None if a process that compiles has it."""
     claim(cache_folder())
-    lock = os.open(cache_folder() / file, os.O_RDWR | (os.O_CREAT if file == SECOND_LOCK else 0), 0o644)
+    lock = os.open(cache_folder() / MARKER, os.O_RDWR)
     try:
         fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError:
@@ -287,15 +262,12 @@ def _take_lock(file: str) -> int | None:
     return lock
 
 
-def _at_work(functions: Collection[Callable[..., Any]] = ()) -> bool:
-    """Whether a process compiles into the folder; one that these are left to, if there are any."""
-    left_to = [share.lock for share in _asked if any(each in share.functions for each in functions)]
-    for file in left_to or (MARKER, SECOND_LOCK):
-        try:
-            lock = _take_lock(file)
-        except OSError:
-            continue
-        if lock is None:
-            return True
+def _at_work() -> bool:
+    """Whether a process compiles into the folder."""
+    try:
+        lock = _take_lock()
+    except OSError:
+        return False
+    if lock is not None:
         os.close(lock)
-    return False
+    return lock is None

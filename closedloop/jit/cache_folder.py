@@ -2,7 +2,6 @@
 
     ROOT/closedloop-0123456789abcdef/       a digest of the text of all kernel files, of compiler and processor
         closedloop-cache                    the marker: we made this folder; its time stamp is that of the last use
-        closedloop-called                   empty; locked while what a step calls is compiled in the background
         step.run-<32 hex>.nbc               one compiled form of one function, see `closedloop.jit.inside.compile_cache`
 
 Folders of other versions of the source are kept for a month after their last use. Before one is removed, the folder's
@@ -36,7 +35,7 @@ MARKS = (
 )
 COMPILERS = "kernel.py", "parameters.py", "dual.py", "blocks.py", "dual8.py", "inside"  # files and a folder
 
-MARKER, SECOND_LOCK = "closedloop-cache", "closedloop-called"
+MARKER = "closedloop-cache"
 MAGIC = b"closedloop code 1\n"  # the end of every file
 FOLDER_NAME = re.compile(r"closedloop-[0-9a-f]{16}")
 CODE = ".nbc"
@@ -287,9 +286,7 @@ def _remove(folder: Path) -> None:
 
 
 def _is_code(entry: os.DirEntry[str]) -> bool:
-    """Whether a file was written by `KernelCache`, whole or (until it was killed) in part; or is the empty lock."""
-    if entry.name == SECOND_LOCK:
-        return entry.is_file(follow_symlinks=False) and entry.stat().st_size == 0
+    """Whether a file was written by `KernelCache`, whole or (until it was killed) in part."""
     found = FILE_NAME.fullmatch(entry.name)
     if not (found and entry.is_file(follow_symlinks=False)):
         return False

@@ -11,15 +11,11 @@ from pathlib import Path
 import pytest
 
 import closedloop as cl
-from closedloop.control.laws.paper import PaperLaw
 from closedloop.control.reference.inverse_kinematics import walk
 from closedloop.jit import background, cache_folder
 from closedloop.jit.cache_folder import MARKER
 from closedloop.loop.events.impacts import collide
-from closedloop.loop.step.closed_loops import closed_loops
 from closedloop.loop.step.contacts import contacts_in_step
-from closedloop.loop.step.entries import law_entry
-from closedloop.mechanics.loops.close import along_path
 from closedloop.mechanics.loops.reactions import rows_along
 from closedloop.simulation.engines.lanes import run_in_lanes
 from closedloop.simulation.engines.proceed import proceed_at
@@ -47,7 +43,6 @@ def folder(tmp_path, monkeypatch):
     monkeypatch.setattr(background, "_asked", [])
     monkeypatch.setattr(background, "_said", set())
     monkeypatch.setattr(background, "_waited_for", set())
-    monkeypatch.setattr(background, "cores", lambda: 2)
     monkeypatch.setattr(background, "needs_compiling", lambda function: True)
     monkeypatch.delenv(background.VARIABLE)
     yield notes
@@ -96,43 +91,14 @@ def test_one_at_a_time(folder, monkeypatch, caplog):
     assert who(folder, "collide")[0] != first
 
 
-def test_two_at_a_time(folder, caplog):
-    """Each with about half of the work, in the order asked for; neither is begun again meanwhile."""
-    wanted = [closed_loops, law_entry(PaperLaw), contacts_in_step, proceed_at, collide, rows_along]
-    with caplog.at_level("INFO", "closedloop.compiling"):
-        background.start(wanted)
-        processes = [
-            who(folder, "entry_of_PaperLaw", "contacts_in_step"),
-            who(folder, "closed_loops", "proceed_at", "collide", "rows_along"),
-        ]
-        background.start([*wanted, along_path])
-    assert processes[0][0] != processes[1][0]
-    assert len(list(folder.iterdir())) == 2
-    (line,) = caplog.messages
-    assert line.startswith("compiling the step in the background, once")
-    os.kill(int(processes[1][0]), signal.SIGKILL)
-    assert background.wait_until_done([contacts_in_step], patience=0.2) is False
-    assert background._at_work([contacts_in_step])
-    assert not background._at_work([proceed_at])
-
-
-def test_one_core_has_one_process(folder, monkeypatch):
-    """There a second one would only take time from the first."""
-    monkeypatch.setattr(background, "cores", lambda: 1)
-    background.start([contacts_in_step, proceed_at])
-    who(folder, "contacts_in_step", "proceed_at")
-    background.start([along_path])
-    assert len(list(folder.iterdir())) == 1
-
-
 def test_how_long_it_still_takes(folder, monkeypatch):
-    """The longer of the two processes, each of which compiles in its order; less what it has had of a core."""
+    """What comes before it and itself, in the order of the process; less what that has had of a core."""
     clock = SimulatedClock()
     monkeypatch.setattr(background, "clock", clock)
     background.start([contacts_in_step, proceed_at, collide, rows_along])
     contacts, step, brief = (background.seconds_of([each]) for each in (contacts_in_step, proceed_at, collide))
-    assert background.seconds_left([contacts_in_step, proceed_at]) == max(contacts, step)
-    assert background.seconds_left([collide]) == step + brief
+    assert background.seconds_left([contacts_in_step, proceed_at]) == contacts + step
+    assert background.seconds_left([collide]) == contacts + step + brief
     clock.sleep(5.0)
     assert background.seconds_left([contacts_in_step]) == pytest.approx(contacts - 5.0 * background.OF_A_CORE)
     clock.sleep(100.0)
@@ -142,7 +108,6 @@ def test_how_long_it_still_takes(folder, monkeypatch):
 
 def test_who_needs_what_comes_last_compiles_it(folder, monkeypatch, caplog):
     """The inverse kinematics of a path, which is wanted now and behind the step in the background."""
-    monkeypatch.setattr(background, "cores", lambda: 1)
     background.start([proceed_at, walk])
     who(folder, "proceed_at", "walk")
     with caplog.at_level("INFO", "closedloop.compiling"):
@@ -179,7 +144,6 @@ class SimulatedClock:
 
 def test_nobody_waits_much_longer_than_compiling_takes(folder, monkeypatch):
     """A process may be stopped, or get no processor: all who wait for it give up in time, and for good."""
-    monkeypatch.setattr(background, "cores", lambda: 1)
     background.start([proceed_at, run_in_lanes])
     who(folder, "proceed_at", "run_in_lanes")
     clock = SimulatedClock()

@@ -17,7 +17,6 @@ from closedloop.jit.cache_folder import (
     MAGIC,
     MARKER,
     MOST_KEPT,
-    SECOND_LOCK,
     UNUSED,
     UNUSED_OF_MANY,
     claim,
@@ -66,7 +65,6 @@ def test_a_cache_that_nobody_uses_goes(root):
     old = cache(root, 1)
     (old / f"{CODE}.tmp.0123456789abcdef").write_bytes(b"co")
     (old / f"{CODE}.tmp.0123456789abcdee").write_bytes(b"")
-    (old / SECOND_LOCK).write_bytes(b"")
     forget_old_caches()
     assert [p.name for p in root.iterdir()] == ["closedloop-ffffffffffffffff"]
 
@@ -176,11 +174,6 @@ def name_with_more(root):
     cache(root, 1).rename(root / f"closedloop-{1:016x}-copy")
 
 
-def lock_with_content(root):
-    """A lock in which somebody wrote something."""
-    (cache(root, 1) / SECOND_LOCK).write_bytes(b"mine")
-
-
 def a_file(root):
     """A file with a cache's name."""
     (root / f"closedloop-{1:016x}").write_bytes(b"mine")
@@ -189,7 +182,7 @@ def a_file(root):
 @pytest.mark.parametrize(
     "plant",
     [results, lookalike, earlier_format, something_added, code_of_another, folder_added, link_added, link_to_a_cache,
-     marker_is_a_link, marker_of_another, name_with_more, lock_with_content,
+     marker_is_a_link, marker_of_another, name_with_more,
      a_file],
     ids=lambda plant: plant.__name__,
 )  # fmt: skip

@@ -85,17 +85,17 @@ if TYPE_CHECKING:
     from closedloop.mechanics.surface.surface import Compliance as Compliance
     from closedloop.mechanics.surface.surface import Surface as Surface
     from closedloop.record.columns.record import Event as Event
-    from closedloop.record.load import load_run as load_run
     from closedloop.record.run import Run as Run
+    from closedloop.record.run import load_run as load_run
     from closedloop.scenario.load import load_scenario as load_scenario
     from closedloop.scenario.load import shipped_scenarios as shipped_scenarios
     from closedloop.scenario.scenario import Scenario as Scenario
     from closedloop.serve.serve import serve as serve
     from closedloop.simulation.batch.simulate_batch import simulate_batch as simulate_batch
+    from closedloop.simulation.engines.law_source import Law as Law
     from closedloop.simulation.engines.problem import Problem as Problem
-    from closedloop.simulation.engines.user_law import Law as Law
-    from closedloop.simulation.halve import halve as halve
     from closedloop.simulation.prepare import prepare as prepare
+    from closedloop.simulation.simulate import halve as halve
     from closedloop.simulation.simulate import simulate as simulate
     from closedloop.simulation.simulator import Simulator as Simulator
     from closedloop.simulation.state import StepState as StepState
@@ -130,17 +130,15 @@ _HOME = {
         "mechanics.surface.placed": "Plane",
         "mechanics.surface.surface": "Compliance Surface",
         "record.columns.record": "Event",
-        "record.load": "load_run",
-        "record.run": "Run",
+        "record.run": "Run load_run",
         "scenario.load": "load_scenario shipped_scenarios",
         "scenario.scenario": "Scenario",
         "serve.serve": "serve",
         "simulation.batch.simulate_batch": "simulate_batch",
         "simulation.engines.problem": "Problem",
-        "simulation.engines.user_law": "Law",
-        "simulation.halve": "halve",
+        "simulation.engines.law_source": "Law",
         "simulation.prepare": "prepare",
-        "simulation.simulate": "simulate",
+        "simulation.simulate": "halve simulate",
         "simulation.simulator": "Simulator",
         "simulation.state": "StepState",
         "studies.analysis.assembly": "linearise",

@@ -33,8 +33,7 @@ from closedloop.command.job import (
 )
 from closedloop.command.lists import list_of_scenarios, versions
 from closedloop.command.shared_options import list_of_sections, scenario_parser
-from closedloop.scenario.load import load_scenario, parse_scenario
-from closedloop.scenario.overrides import split_overrides
+from closedloop.scenario.load import load_scenario, parse_scenario, split_overrides
 from closedloop.scenario.scenario import Scenario
 from closedloop.scenario.user_module import import_function, import_law, member_digests
 
@@ -198,7 +197,7 @@ def _wrench(word: str, model: Any) -> Any:
 def _refuse_to_halve(scenario: Scenario) -> None:
     """Say why a scenario cannot be run at half its step, before it is run at all."""
     from closedloop.loop.step.record_row import Row
-    from closedloop.simulation.halve import half_step
+    from closedloop.simulation.simulate import half_step
     from closedloop.simulation.time_step import steps_and_hold
 
     try:
@@ -286,7 +285,7 @@ def _open(name: str, overrides: dict[str, Any]) -> tuple[Scenario, Any, Run | No
     """Return the scenario, and the robot and the run if it came from a run file."""
     if not name.endswith(".nc"):
         return load_scenario(name, overrides), None, None
-    from closedloop.record.load import load_run
+    from closedloop.record.run import load_run
     from closedloop.scenario.arm import is_of_model
 
     earlier = load_run(name)

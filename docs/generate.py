@@ -232,7 +232,7 @@ def directive(name: str) -> Iterator[str]:
     """Return the directive of a public name."""
     thing = getattr(closedloop, name)
     if name == "Law":  # a type: its text stands below it in its module
-        yield from (".. autodata:: closedloop.simulation.engines.user_law.Law", "   :no-value:")
+        yield from (".. autodata:: closedloop.simulation.engines.law_source.Law", "   :no-value:")
     elif name == "lab":  # a package that can be called, as this function
         yield ".. autofunction:: closedloop.lab.start.lab"
     elif isinstance(thing, ModuleType):

@@ -13,15 +13,15 @@ from types import ModuleType
 from typing import Any
 
 ABOVE = {
-    "replace": "closedloop.scenario.overrides:replaced",
+    "replace": "closedloop.scenario.load:replaced",
     "unchanged": "closedloop.scenario.messages:unchanged",
     "run": "closedloop.simulation.simulate:simulate_changed",
     "plot": "closedloop.figures.errors:plot",
     "html": "closedloop.figures.files:html",
-    "show": "closedloop.lab.share:show_run",
+    "show": "closedloop.lab.history:show_run",
     "animate": "closedloop.lab.animate:animate",
     "save": "closedloop.figures.export.tables:save",
-    "step_error": "closedloop.simulation.halve:step_error_of",
+    "step_error": "closedloop.simulation.simulate:step_error_of",
 }
 
 

@@ -21,9 +21,16 @@ from contextlib import contextmanager, suppress
 from functools import wraps
 from typing import NoReturn
 
-from closedloop.base.errors import ClosedLoopError, ClusterError, ScenarioError, SimulationError, lines_of, one_line
+from closedloop.base.errors import (
+    ClosedLoopError,
+    ClusterError,
+    ScenarioError,
+    SimulationError,
+    lines_of,
+    not_installed,
+    one_line,
+)
 from closedloop.base.interrupts import INTERRUPTED, as_exceptions, exit_status, terminable, word_for
-from closedloop.base.optional import not_installed
 
 DONE, BAD_INPUT, STOPPED, NOT_GOOD, NOT_CONTROLLED = 0, 2, 3, 4, 5
 

@@ -8,8 +8,8 @@ from closedloop.command.border import DONE, Parser, as_command
 def main(words: list[str]) -> int:
     """Run the command line and return the exit status."""
     options = _parser().parse_args(words)
+    from closedloop.base.errors import needs
     from closedloop.base.files import made_folder, what_was_written, write_whole
-    from closedloop.base.optional import needs
     from closedloop.studies.identify.excite import excite
 
     needs("pandas")  # which writes the motion, once it has been found

@@ -9,8 +9,8 @@ from closedloop.figures.export.mcap_file import write_rosbag2
 from closedloop.figures.export.mjcf import write_mjcf
 from closedloop.figures.export.tables import FORMATS as BY_ENDING
 from closedloop.lab.animate import animate
-from closedloop.lab.share import share
-from closedloop.record.load import load_run
+from closedloop.lab.history import share
+from closedloop.record.run import load_run
 from closedloop.record.save import save_run
 
 FORMATS = {ending.removeprefix("."): write for ending, write in BY_ENDING.items()} | {

@@ -22,8 +22,7 @@ from closedloop.base.arrays import Array
 from closedloop.base.errors import InterruptedRunError, ScenarioError, SimulationError, faults_on_one_line
 from closedloop.mechanics.loops.assemble import START_OPEN, assembled, closed_start, errors_at
 from closedloop.mechanics.loops.bind import loop_memory
-from closedloop.mechanics.loops.drives import torque_of_drives
-from closedloop.mechanics.loops.reactions import loop_rows
+from closedloop.mechanics.loops.reactions import loop_rows, torque_of_drives
 from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.mechanics.surface.placed import contact_frame
 from closedloop.scenario.load import scenario_of
@@ -372,8 +371,7 @@ def _fault_of_gains(scenario: Scenario, robot: Robot) -> str:
 
 def _fault(scenario: Scenario, robot: Robot) -> tuple[int, str]:
     """Return where a scenario fails, before its run by its path or after it, and why: an empty string if it is good."""
-    from closedloop.simulation.halve import beside_half
-    from closedloop.simulation.simulate import simulate
+    from closedloop.simulation.simulate import beside_half, simulate
 
     if fault := _fault_of_gains(scenario, robot):
         return RUN, fault

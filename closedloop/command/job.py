@@ -67,7 +67,7 @@ def halved(job: Job, run: Run, failure: SimulationError | None, progress: bool) 
     """
     if isinstance(failure, InterruptedRunError):
         return run, failure
-    from closedloop.simulation.halve import beside_half
+    from closedloop.simulation.simulate import beside_half
 
     try:
         with redirect_stdout(sys.stderr):

@@ -22,8 +22,8 @@ from closedloop.base.files import (
 )
 from closedloop.base.interrupts import held_back
 from closedloop.record.frame import difference
-from closedloop.record.netcdf_file import read_sealed
 from closedloop.record.run import Run
+from closedloop.record.save import read_sealed
 
 RUN, SUMMARY = "run.nc", "summary.json"
 # Metadata near the beginning or the end of a figure's file.

@@ -16,7 +16,7 @@ def show(words: list[str]) -> int:
     """Run the command line of ``closedloop show`` and return the exit status."""
     parser = _parser("show", "Print the report of a saved run: its verdict, the paper's assumptions and its errors.")
     parser.add_argument("--json", action="store_true", help="print the summary as JSON instead of tables")
-    from closedloop.record.load import load_run
+    from closedloop.record.run import load_run
 
     options = parser.parse_args(words)
     run = load_run(options.run)
@@ -40,7 +40,7 @@ def plot(words: list[str]) -> int:
     parser.add_argument("--out", metavar="DIR", help="where the figures go (default: the folder of the run)")
     parser.add_argument("--columns", metavar="LIST", help="draw these columns instead, a panel each, such as f,e")
     add_figure_options(parser)
-    from closedloop.record.load import load_run
+    from closedloop.record.run import load_run
 
     options = parser.parse_args(words)
     formats, style = formats_of(options), drawn_as(options)

@@ -98,7 +98,7 @@ def _print_topic(option: str, word: str) -> None:
 
 def parsed(parser: Parser, words: list[str]) -> tuple[Namespace, dict[str, Any]]:
     """Return a command's options, and the overrides among its words, whose users' classes are known from then on."""
-    from closedloop.scenario.overrides import split_overrides
+    from closedloop.scenario.load import split_overrides
     from closedloop.scenario.user_module import name_members
 
     overrides, rest = split_overrides(words)

@@ -113,7 +113,7 @@ def _sweep(arguments: list[str]) -> int:
 
 def _asked_for(options: Namespace, overrides: dict[str, Any]) -> Sweep:
     """Return the sweep that the command line asks for."""
-    from closedloop.scenario.overrides import refuse_lost
+    from closedloop.scenario.load import refuse_lost
     from closedloop.scenario.user_module import name_members
     from closedloop.studies.sweep.design import GRID, LATIN, RANDOM, Design, parse_axis
     from closedloop.studies.sweep.sweep import Sweep

@@ -16,7 +16,7 @@ from closedloop.gym.task import Task
 from closedloop.gym.terms import PARTS, POSTURE, TRUTH, Now, Observations, as_ranges, as_terms, drawn
 from closedloop.jit.parameters import parameter_block
 from closedloop.scenario.arm import start_positions
-from closedloop.scenario.overrides import Variants
+from closedloop.scenario.load import Variants
 from closedloop.simulation.cache import Cache
 from closedloop.simulation.engines.loops import COMPILED
 from closedloop.simulation.engines.problem import Problem

@@ -168,7 +168,7 @@ class Browser:
         """Bring the page up to date with environment `i`."""
         from closedloop.lab.curves import main_panel
         from closedloop.lab.drawn import curves, frames, robot_message, run_message, space_message
-        from closedloop.lab.share import hello
+        from closedloop.lab.history import hello
 
         problem, ensemble, time = self._core.ensemble.problem(i), self._core.ensemble, float(self._core.now.time[i])
         if problem is not self._problem or time < self._past[-1][2]:  # an episode begins

@@ -22,9 +22,8 @@ from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
 from closedloop.base.arrays import Array
-from closedloop.base.errors import OutputError, ScenarioError
+from closedloop.base.errors import OutputError, ScenarioError, missing_line
 from closedloop.base.files import write_whole
-from closedloop.base.optional import missing_line
 from closedloop.figures.scene.scene import ARROWS, PATH, WANTED, Scene, scene_of
 from closedloop.figures.scene.solids import COLOUR, OPACITY, Shape
 from closedloop.figures.style import widen

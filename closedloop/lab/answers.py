@@ -13,7 +13,8 @@ from closedloop.base.interrupts import held_back
 from closedloop.figures.scene.solids import compile_rows
 from closedloop.jit.background import compiling_notice
 from closedloop.jit.kernel import needs_compiling
-from closedloop.lab.history import Changes, History
+from closedloop.lab.controls import Changes
+from closedloop.lab.history import History
 from closedloop.loop.events.table import EVENT_WIDTH
 from closedloop.mechanics.integrators import ADAPTIVE
 from closedloop.record.run import Run

@@ -21,13 +21,11 @@ from closedloop.base.errors import ClosedLoopError
 from closedloop.figures.scene.scene import scene_of
 from closedloop.figures.scene.solids import Ghost
 from closedloop.lab.answers import Answer, Answers
-from closedloop.lab.controls import Control, begin_values
+from closedloop.lab.controls import Changes, Control, all_controls, begin_values, rows_in_groups
 from closedloop.lab.curves import Panel, beside, panels
 from closedloop.lab.drawn import Message, curves, frames, pack, robot_message, run_message, space_message
-from closedloop.lab.groups import all_controls, rows_in_groups
-from closedloop.lab.history import IN_A_FILE, Changes, History, Pins
+from closedloop.lab.history import IN_A_FILE, History, Pins, hello, page
 from closedloop.lab.server import FIRST_PORT, RUN, Client, Newest, Server, in_notebook, new_token, proxied
-from closedloop.lab.share import hello, page
 from closedloop.record.run import Run
 from closedloop.scenario.load import load_scenario, shipped_scenarios
 from closedloop.scenario.messages import variants

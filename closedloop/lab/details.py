@@ -11,14 +11,15 @@ from closedloop.base.errors import ClosedLoopError, one_line
 from closedloop.figures.scene.scene import Scene, scene_of
 from closedloop.lab.answers import Answer
 from closedloop.lab.app import Lab
+from closedloop.lab.controls import Changes
 from closedloop.lab.curves import margin_tiles, reduced, tiles, values
 from closedloop.lab.drawn import Message, robot_message, space_message, spread
-from closedloop.lab.history import Changes, Pin, compared
+from closedloop.lab.history import Pin, compared
 from closedloop.lab.server import Newest
 from closedloop.record.run import Run
 from closedloop.simulation.cache import Cache
-from closedloop.simulation.halve import beside_half
 from closedloop.simulation.prepare import prepare
+from closedloop.simulation.simulate import beside_half
 from closedloop.studies.analysis.assembly import instant_of, loop_at
 from closedloop.studies.analysis.page import Overview, overview
 

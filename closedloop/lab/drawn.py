@@ -35,7 +35,7 @@ from closedloop.lab.curves import CELLS, Panel, column_names, column_panel, pane
 from closedloop.mechanics.closure.contact_force import FREE, PRESSED, STUCK
 from closedloop.record.clearance import passing_note
 from closedloop.record.run import Run
-from closedloop.scenario.robot_sections import NO_ROBOT
+from closedloop.scenario.scenario import NO_ROBOT
 
 # Of an array in the header, by its type: 32-bit numbers, the least significant byte first; NaN stays NaN.
 FLOATS, WHOLE = "$f", "$u"

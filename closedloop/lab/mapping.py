@@ -19,9 +19,8 @@ from closedloop.jit.background import refused, seconds_to_compile, start
 from closedloop.jit.kernel import needs_compiling
 from closedloop.lab.answers import Answer
 from closedloop.lab.app import Lab
-from closedloop.lab.controls import Control
+from closedloop.lab.controls import DAMPING, STIFFNESS, Control, group_of
 from closedloop.lab.drawn import Message
-from closedloop.lab.groups import DAMPING, STIFFNESS, group_of
 from closedloop.lab.server import Newest
 from closedloop.record.report.measures import MEASURES
 from closedloop.record.report.verdict import GOOD

@@ -6,8 +6,8 @@ from typing import Any
 
 from closedloop.lab.actions import choose
 from closedloop.lab.drawn import Message, pack
+from closedloop.lab.history import page
 from closedloop.lab.server import FIRST_PORT, RUN, Client, Server, new_token
-from closedloop.lab.share import page
 
 # How long a page may take to be sent what is left at the end, s.
 PATIENCE = 10.0

@@ -11,9 +11,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from closedloop.base.arguments import arguments_checked
-from closedloop.base.errors import ScenarioError
+from closedloop.base.errors import ScenarioError, missing_line
 from closedloop.base.files import write_whole
-from closedloop.base.optional import missing_line
 from closedloop.control.law import ControlLaw
 from closedloop.figures.scene.solids import Ghost
 from closedloop.lab.history import History, in_words
@@ -112,7 +111,7 @@ def _begin(
     from closedloop.scenario.load import parse_scenario
 
     if isinstance(scenario, str | Path) and str(scenario).endswith(".nc"):
-        from closedloop.record.load import load_run
+        from closedloop.record.run import load_run
 
         run = load_run(scenario)
         changed = any(map(is_of_model, changes))

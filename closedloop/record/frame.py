@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from numpy.typing import NDArray
 
-from closedloop.base.optional import needs
+from closedloop.base.errors import needs
 from closedloop.record.columns.derived import WRENCH
 from closedloop.scenario.tables import tangents_of
 

@@ -8,7 +8,7 @@ import time
 from typing import ClassVar
 
 from closedloop.jit.kernel import direct
-from closedloop.loop.events.impacts import collide
+from closedloop.loop.events.transitions import collide
 from closedloop.scenario.scenario import Scenario
 from closedloop.serve.sockets import Port, Ports, Say
 from closedloop.simulation.simulator import Simulator

@@ -11,8 +11,8 @@ from typing import Any
 from closedloop.figures.scene.scene import scene_of
 from closedloop.lab.curves import tiles
 from closedloop.lab.drawn import Rows, curves, robot_message, run_message, space_message, spread
+from closedloop.lab.history import hello
 from closedloop.lab.server import FIRST_PORT, Client
-from closedloop.lab.share import hello
 from closedloop.lab.shown import Shown
 from closedloop.record.run import Run
 from closedloop.serve.session import Session

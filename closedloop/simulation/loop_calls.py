@@ -19,15 +19,15 @@ from closedloop.jit.blocks import arrays_of
 from closedloop.jit.calls import address_of
 from closedloop.jit.interim import PROBE, Interim, at_hand, call_now, compile_ahead, compiles_ahead
 from closedloop.jit.kernel import direct
-from closedloop.loop.events.impacts import collide
-from closedloop.loop.events.phases import IMPACT_LAW_WANTED, INITIAL_EVENTS, TABLE_FULL, TERMS
+from closedloop.loop.events.locate import IMPACT_LAW_WANTED, INITIAL_EVENTS, TABLE_FULL, TERMS
 from closedloop.loop.events.table import EVENT_WIDTH
+from closedloop.loop.events.transitions import collide
 from closedloop.loop.step.closed_loops import closed_loops
 from closedloop.loop.step.contacts import contacts_in_step
 from closedloop.loop.step.memory import Loop
 from closedloop.loop.step.record_row import complete_record
 from closedloop.mechanics.closure.solve import LAW_FAILED
-from closedloop.mechanics.loops.close import along_path, closed_to
+from closedloop.mechanics.loops.assemble import along_path, closed_to
 from closedloop.mechanics.loops.reactions import rows_along
 from closedloop.mechanics.robot.tree import Tree, potential_energies
 from closedloop.mechanics.surface.contact import normals_on_surface, put_on_surface
@@ -36,6 +36,7 @@ from closedloop.scenario.arm import has_stops
 from closedloop.scenario.scenario import Scenario
 from closedloop.simulation.engines.bind_contacts import entries_of_contacts
 from closedloop.simulation.engines.failures import failure_of, raised_by_member
+from closedloop.simulation.engines.law_source import Law, UserLaw
 from closedloop.simulation.engines.loops import COMPILED, PINOCCHIO, Pace, kernels_of, loop_for
 from closedloop.simulation.engines.problem import Problem
 from closedloop.simulation.engines.proceed import (
@@ -47,7 +48,6 @@ from closedloop.simulation.engines.proceed import (
     set_rows,
 )
 from closedloop.simulation.engines.scenario_numbers import calls_law, entries_of
-from closedloop.simulation.engines.user_law import Law, UserLaw
 from robot_models import RobotModel
 
 # What calls the loop so many times, each with new terms, as long as nothing else is requested.

@@ -22,7 +22,7 @@ from closedloop.control.laws.paper import PaperLaw
 from closedloop.control.reference.desired import Desired, Motion, desired
 from closedloop.control.reference.force import force_at
 from closedloop.control.reference.on_surface import edge_key
-from closedloop.control.reference.orientation import refuse_narrow
+from closedloop.control.reference.path import refuse_narrow
 from closedloop.control.reference.table import DrawnRow, Reference, TableRow
 from closedloop.control.reference.tip_path import TipPath
 from closedloop.control.sensor import check_steps, draws, encoder_draws, pack_sensor
@@ -55,13 +55,12 @@ from closedloop.scenario.arm import (
 )
 from closedloop.scenario.collision import with_collision_shapes
 from closedloop.scenario.modes import check_transmission
-from closedloop.scenario.robot_sections import NO_ROBOT
-from closedloop.scenario.scenario import Scenario
+from closedloop.scenario.scenario import NO_ROBOT, Scenario
 from closedloop.scenario.user_module import member_digests
 from closedloop.simulation.all_entries import with_all_entries
 from closedloop.simulation.cache import Cache
 from closedloop.simulation.engines.bind_contacts import contact_rows, placed_contacts
-from closedloop.simulation.engines.problem import Problem
+from closedloop.simulation.engines.problem import STICK_SPEED, Problem
 from closedloop.simulation.engines.scenario_numbers import (
     Layout,
     PackedLaw,
@@ -74,7 +73,6 @@ from closedloop.simulation.engines.scenario_numbers import (
     pack_law,
     settings_of,
 )
-from closedloop.simulation.engines.start_memory import STICK_SPEED
 from closedloop.simulation.loop_calls import have_compiled
 from closedloop.simulation.parts import Made, Maker, Parts, Watched
 from closedloop.simulation.time_step import check_stiffness, integrator_of, stabiliser_gains, steps_and_hold

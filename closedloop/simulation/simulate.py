@@ -1,8 +1,6 @@
-"""From a scenario to a run.
+"""From a scenario to a run: prepare the problem, step it, and make the record of its rows.
 
-From the rows of a problem to its run: columns, energies, and what made it.
-
-From a scenario to a run: prepare the problem, step it, and return the record.
+The same at half the step says by how much each value differs. So the error of the step is measured.
 """
 
 import time as clock
@@ -23,23 +21,23 @@ from closedloop.base.progress import reporting
 from closedloop.control.reference.table import Reference
 from closedloop.jit.interim import Interim, at_hand, call_now, not_compiled_first
 from closedloop.jit.kernel import plain
-from closedloop.loop.events.phases import DONE, TERMS
+from closedloop.loop.events.locate import DONE, TERMS
 from closedloop.loop.events.table import EVENT_COLUMNS, EVENT_WIDTH, event_column
 from closedloop.loop.step.record_row import complete_record, rows_there
-from closedloop.mechanics.integrators import INTEGRATORS
+from closedloop.mechanics.integrators import ADAPTIVE, INTEGRATORS
 from closedloop.mechanics.robot.tree import Tree, energies_of_rows, potential_energies, work_size
 from closedloop.record.columns.derived import DERIVED, RESERVED, Recorded, check_names, own_columns
 from closedloop.record.columns.record import ALL_COLUMNS, POSITIONS, ColumnsOnDemand
+from closedloop.record.report.halved import halved_comparison, step_error
 from closedloop.record.run import Run
 from closedloop.record.save import package_versions
 from closedloop.scenario.arm import start_positions, without_tools
 from closedloop.scenario.scenario import Scenario
 from closedloop.simulation.cache import kept_cache
 from closedloop.simulation.engines.failures import interrupted, member_error
-from closedloop.simulation.engines.law_source import arguments_of, law_digest
-from closedloop.simulation.engines.loops import ENGINES, PINOCCHIO
+from closedloop.simulation.engines.law_source import Law, arguments_of, fresh, law_digest
+from closedloop.simulation.engines.loops import COMPILED, ENGINES, PINOCCHIO, loop_for
 from closedloop.simulation.engines.problem import Problem
-from closedloop.simulation.engines.user_law import Law
 from closedloop.simulation.loop_calls import Driver, drive
 from closedloop.simulation.prepare import borrowed, problem_of
 from robot_models import RobotModel
@@ -192,7 +190,7 @@ def simulate(
     engine : "pinocchio" or "compiled"
         The source of H, C, r, Jᵣ and J̇ᵣq̇: Pinocchio, or the package's own compiled terms
         (`closedloop.mechanics.robot.tree`), which are equal to rounding and a few times as fast. The compiled engine
-        takes a user's law only if numba has compiled it, see `closedloop.simulation.engines.user_law`.
+        takes a user's law only if numba has compiled it, see `closedloop.simulation.engines.law_source`.
     record : mapping of str to callable, optional
         Columns of your own: by name a function of the `Run` that returns (N,) or (N, k) finite numbers, or a pair of
         such a function and a unit, ``{"power": (power, "W")}``. They are computed once, at the end, and are columns
@@ -300,7 +298,7 @@ def check_engine(scenario: Scenario, engine: str, law: Law | None) -> None:
             f"use the engine 'pinocchio', or one of {', '.join(map(repr, INTEGRATORS))}"
         )
     if law is not None:
-        from closedloop.simulation.engines.compiled_law import compiled_law
+        from closedloop.simulation.engines.law_source import compiled_law
 
         compiled_law(law)
 
@@ -406,3 +404,101 @@ def run_loop(
         driver.end()
         problem.spare[engine] = driver
     return rows[:done], events, failure, seconds
+
+
+def half_step(scenario: Scenario) -> Scenario:
+    """Return the scenario at half its step."""
+    time = scenario.time
+    if time.integrator in ADAPTIVE:
+        raise ScenarioError(
+            f"time.integrator = {time.integrator!r}: chooses its steps, and half of time.step would change the rows "
+            f"only; tighten time.tolerance instead"
+        )
+    return scenario.model_copy(update={"time": time.model_copy(update={"step": 0.5 * time.step})})
+
+
+@arguments_checked()
+def halve(
+    scenario: Scenario,
+    *,
+    law: Law | None = None,
+    model: RobotModel | None = None,
+    progress: bool | Callable[[int, int], None] = False,
+    engine: str = PINOCCHIO,
+) -> Run:
+    """Simulate a scenario as `simulate` does, and again at half its step; return the first run, with the comparison.
+
+    The run's ``halved``, which is in its summary, its report and its file, says by how much each value and each main
+    column differ (`closedloop.record.report.halved`). The summary then states the error of the step, and the verdict
+    counts it.
+
+    Parameters
+    ----------
+    scenario, law, model, progress, engine
+        As of `simulate`. An object with a state is copied for each run; a law that has `reset` is reset.
+
+    Returns
+    -------
+    Run
+
+    Raises
+    ------
+    ScenarioError, ModelError
+        As by `simulate`, and if the integrator chooses its steps.
+    SimulationError
+        As by `simulate`, if the first run stops early. If the second run does, the verdict says so.
+    """
+    check_engine(scenario, engine, law)
+    half_step(scenario)
+    run = simulate(scenario, law=fresh(law), model=model, progress=progress, engine=engine)
+    return beside_half(run, law=law, model=model, progress=progress, engine=engine)
+
+
+def beside_half(
+    run: Run,
+    *,
+    law: Law | None = None,
+    model: RobotModel | None = None,
+    progress: bool | Callable[[int, int], None] = False,
+    engine: str | None = None,
+) -> Run:
+    """Simulate what a run is of again, at half the step, and return the run with the comparison; see `halve`.
+
+    Without an `engine` it is the compiled one where it can run this and is compiled already, else the run's own: they
+    differ by rounding.
+
+    Raises
+    ------
+    InterruptedRunError
+        After Ctrl-C; its `run` is the one given.
+    """
+    try:
+        other = simulate(
+            half_step(run.scenario), law=fresh(law), model=model, progress=progress, engine=engine or _fastest(run, law)
+        )  # fmt: skip
+    except InterruptedRunError as error:
+        raise InterruptedRunError(f"in the run at half the step: {error}", error.time, run) from error.__cause__
+    except SimulationError as error:
+        if not isinstance(error.run, Run):
+            raise
+        other = error.run
+    return replace(run, halved=halved_comparison(run, other))
+
+
+def _fastest(run: Run, law: Law | None) -> str:
+    """Return the engine that is compiled already and takes this law, the compiled one first."""
+    try:
+        check_engine(run.scenario, COMPILED, law)
+    except ScenarioError:
+        return run.engine
+    return COMPILED if at_hand(loop_for(COMPILED)) else run.engine
+
+
+def step_error_of(run: Run, law: Law | None = None) -> dict[str, Any]:
+    """Return the error of the step of a run; see `closedloop.record.run.Run.step_error`."""
+    if run.halved is None:
+        if law is None and run.law != "scenario":
+            raise ScenarioError(f"the run was made with the law {run.law}: pass it, as run.step_error(law=...)")
+        run = beside_half(run, law=law, model=run.model)
+    found = step_error(run)
+    return {name: found[name] for name in ("force", "position")}

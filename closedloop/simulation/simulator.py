@@ -22,9 +22,8 @@ from closedloop.mechanics.integrators import ADAPTIVE, INTEGRATORS
 from closedloop.record.run import Run
 from closedloop.scenario.scenario import Scenario
 from closedloop.simulation.engines.failures import interrupted
-from closedloop.simulation.engines.law_source import law_digest
+from closedloop.simulation.engines.law_source import Law, law_digest
 from closedloop.simulation.engines.loops import PINOCCHIO
-from closedloop.simulation.engines.user_law import Law
 from closedloop.simulation.prepare import prepare
 from closedloop.simulation.simulate import as_run, check_engine, law_name
 from closedloop.simulation.state import StepState
@@ -138,7 +137,7 @@ class Simulator:
             Torque Q on the joints, N m (N of a joint that slides), that acts from the present state on and is held over
             the step, in place of the law's. None: the scenario's own law acts, as often as it says. The states of this
             law and of its compensation are integrated also while a torque from outside acts. A joint without a drive
-            has no torque, see `closedloop.mechanics.loops.drives`.
+            has no torque, see `closedloop.mechanics.loops.reactions`.
 
         Raises
         ------

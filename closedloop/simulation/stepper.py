@@ -15,15 +15,15 @@ from closedloop.base.arrays import Array
 from closedloop.control.drives import cut_torque
 from closedloop.jit.background import make_ready
 from closedloop.jit.kernel import plain
-from closedloop.loop.events.impacts import collide
-from closedloop.loop.events.phases import FAILED, MEASURED, STEP_END
+from closedloop.loop.events.locate import FAILED, MEASURED, STEP_END
+from closedloop.loop.events.transitions import collide
 from closedloop.loop.step.memory import State, Work
 from closedloop.loop.step.record_row import complete_record
 from closedloop.mechanics.closure.conditioning import BATCH
 from closedloop.mechanics.closure.contact_force import FREE
-from closedloop.mechanics.loops.drives import lose_undriven, torque_of_drives
+from closedloop.mechanics.loops.reactions import lose_undriven, torque_of_drives
+from closedloop.simulation.engines.law_source import Law, UserLaw
 from closedloop.simulation.engines.problem import Problem
-from closedloop.simulation.engines.user_law import Law, UserLaw
 from closedloop.simulation.loop_calls import Driver, drive
 
 # A copy of the loop's memory: whole numbers, real ones before and behind the batch of rows that wait for their

@@ -7,8 +7,7 @@ import robot_models
 from closedloop.jit.cache_folder import cache_folder
 from closedloop.jit.user_code import source_digest
 from closedloop.record.save import package_versions
-from closedloop.scenario.robot_sections import NO_ROBOT
-from closedloop.scenario.scenario import Scenario, families
+from closedloop.scenario.scenario import NO_ROBOT, Scenario, families
 from closedloop.scenario.user_module import members_of_users
 from robot_models.digest import digest_of
 

@@ -17,8 +17,7 @@ from closedloop.lab.curves import USUAL
 from closedloop.mechanics.contacts.sections import ContactSection
 from closedloop.scenario.load import scenario_of, shipped_scenarios
 from closedloop.scenario.messages import variants
-from closedloop.scenario.robot_sections import BodySection
-from closedloop.scenario.scenario import Scenario
+from closedloop.scenario.scenario import BodySection, Scenario
 
 MOST = 6  # changes of a scenario
 # A robot and a start go with each other, and the duration is what a case costs.

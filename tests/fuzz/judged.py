@@ -24,14 +24,12 @@ from scenario_cases import Case
 
 from closedloop.base.errors import ClosedLoopError, SimulationError, one_line
 from closedloop.mechanics.integrators import ADAPTIVE
-from closedloop.record.load import load_run
 from closedloop.record.report.verdict import names_of
-from closedloop.record.run import Run
+from closedloop.record.run import Run, load_run
 from closedloop.scenario.load import load_scenario, parse_scenario, scenario_of
 from closedloop.scenario.scenario import Scenario
 from closedloop.simulation.all_entries import with_all_entries
-from closedloop.simulation.halve import beside_half
-from closedloop.simulation.simulate import simulate
+from closedloop.simulation.simulate import beside_half, simulate
 
 LONGEST_LINE = 1000  # characters: more is not read
 FASTEST = 1e4  # rad/s, m/s: what moves faster without having been asked to is nonsense, and must not be called good

@@ -23,7 +23,7 @@ from typing import Any, NamedTuple
 import h5py
 import numpy as np
 
-from closedloop.record.netcdf_file import SEAL_LENGTH, seal
+from closedloop.record.save import SEAL_LENGTH, seal
 
 # Longer than a file takes that HDF5 does not come back from, s.
 LIMIT = 120.0

@@ -13,7 +13,7 @@ import numpy as np
 from closedloop.base.errors import ModelError
 from closedloop.jit.calls import address_of, entry_address
 from closedloop.jit.kernel import entry_kernel
-from closedloop.loop.events.phases import DONE
+from closedloop.loop.events.locate import DONE
 from closedloop.loop.events.table import EVENT_WIDTH
 from closedloop.loop.step.memory import make_loop
 from closedloop.loop.step.record_row import Row

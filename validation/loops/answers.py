@@ -12,7 +12,7 @@ import closedloop as cl
 from closedloop.jit.calls import callback, interpreted_address
 from closedloop.jit.interpreted import interpreted
 from closedloop.jit.kernel import jit_disabled
-from closedloop.loop.events.phases import DONE
+from closedloop.loop.events.locate import DONE
 from closedloop.loop.step.closed_loops import DRIVE, closed_loops
 from closedloop.loop.step.record_row import Row
 from closedloop.mechanics.closure.contact_force import FREE, PRESSED

@@ -19,9 +19,9 @@ from closedloop.jit.interpreted import interpreted
 from closedloop.loop.step.closed_loops import BIND_TIP, DRIVE
 from closedloop.loop.step.memory import loop_at
 from closedloop.mechanics.closure.solve import forward_substitute
-from closedloop.mechanics.loops.drives import lose_undriven
 from closedloop.mechanics.loops.factor import meet
 from closedloop.mechanics.loops.memory import GEAR, LoopMemory, loops_at
+from closedloop.mechanics.loops.reactions import lose_undriven
 from closedloop.mechanics.loops.solve import leave_free, multiply_transposed, take_free
 from robot_models.loop_joint import LoopJoint
 from validation.loops.answers import Entry, LoopFault, ask_loop, ask_oracle

@@ -21,8 +21,7 @@ from closedloop.command.border import DONE, STOPPED, Parser, as_command
 from closedloop.lab.app import Lab
 from closedloop.lab.history import History
 from closedloop.lab.start import begun
-from closedloop.scenario.load import load_scenario
-from closedloop.scenario.overrides import split_overrides
+from closedloop.scenario.load import load_scenario, split_overrides
 from validation.speed import in_browser
 
 KEY, RATE = "law.force", 60.0

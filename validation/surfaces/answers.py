@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 import closedloop as cl
-from closedloop.loop.events.phases import DONE
+from closedloop.loop.events.locate import DONE
 from closedloop.loop.step.record_row import Row
 from closedloop.mechanics.closure.contact_force import PRESSED, STUCK
 from closedloop.mechanics.surface.placed import PlacedSurface

@@ -1,26 +1,203 @@
-"""The base class of paths: a section of the scenario that gives the desired motion of the tip; and checks of paths.
+"""The base class of paths, sections of the scenario that give the desired motion of the tip; and the tool along a path.
 
 A user's path is a class derived from `Path`, with its parameters as typed fields and the one method `tip_path`.
 Those that ship are in `closedloop.control.reference.paths`, one file each, written the same way.
+
+The inverse kinematics of the reference holds the orientation of the tool
+(`closedloop.control.reference.inverse_kinematics`), so that q_des carries it: the laws in joint space follow q_des, and
+those in tip space pull the motion of the joints that the tip leaves free to it
+(`closedloop.control.tip_space.posture`).
+
+A tool whose round tip is too large for a hollow of the surface is refused before anything is simulated.
 """
 
+from __future__ import annotations
+
+import math
 from abc import abstractmethod
 from collections.abc import Sequence
-from typing import ClassVar, Literal, Protocol
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Protocol
 
 import numpy as np
-from pydantic import Field
+from pydantic import BeforeValidator, Field
 
 from closedloop.base.arrays import Array
 from closedloop.base.errors import ScenarioError
 from closedloop.base.families import Family, Parameters, is_users
-from closedloop.base.sections import Size
+from closedloop.base.sections import Number, Size
+from closedloop.control.reference.inverse_kinematics import AXIS, FRAME, POSITION, RANK_TOLERANCE
 from closedloop.control.reference.on_surface import on_surface
-from closedloop.control.reference.orientation import Held
 from closedloop.control.reference.tip_path import TipPath
 from closedloop.jit.user_code import of_users
+from closedloop.mechanics.surface.along import shape_at
 from closedloop.mechanics.surface.placed import PlacedSurface, contact_frame, unit
 from closedloop.mechanics.surface.surface import Surface
+
+if TYPE_CHECKING:
+    from closedloop.mechanics.robot.pinocchio import Robot
+
+
+TURN = Size(1e3, "rad", "a turn more changes nothing")
+WORDS = ("free", "normal", "start")
+# How far the tool may be from its orientation at the start, rad: that of a posture given to three digits, 1 degree.
+ASKEW = math.radians(1.0)
+
+
+def _orientation(value: Any) -> Any:
+    if isinstance(value, str) and value in WORDS:
+        return value
+    numbers = isinstance(value, (list, tuple)) and len(value) == 3
+    if not numbers or not all(isinstance(x, (int, float)) and abs(x) <= TURN.most for x in value):
+        words = ", ".join(f'"{word}"' for word in WORDS)
+        raise ValueError(f"must be {words}, or three numbers, the rotation vector of the tip's frame, rad")
+    return value
+
+
+Held = Annotated[
+    Literal["free", "normal", "start"]
+    | tuple[Annotated[Number, TURN], Annotated[Number, TURN], Annotated[Number, TURN]],
+    BeforeValidator(_orientation),
+]
+
+
+@dataclass(frozen=True)
+class Orientation:
+    """What is held of the tip's orientation."""
+
+    rows: int  # `POSITION` (nothing), `AXIS` or `FRAME`, see `closedloop.control.reference.inverse_kinematics`
+    axes: Array  # (3, 3): columns: axes of the tip's frame, in that frame, of which `AXIS` holds the last
+    frame: Array  # (3, 3): of `FRAME`: the same as wanted, base frame
+    surface: PlacedSurface | None = None  # of `AXIS`: the surface whose normal the axis is held against
+    said: str = ""  # key and value that ask for it, for messages
+
+    def axis_along(self, times: Array, r: Array, velocity: Array) -> Array:
+        """Return the wanted axis of the tool and its rate, 1/s, (N, 6), at points of the tip's path, base frame."""
+        if self.surface is None:
+            return np.zeros((times.size, 6))
+        normals, rates = self.surface.normals(times, r, velocity)
+        return np.hstack([-normals, -rates])
+
+    def in_link(self, robot: Robot, q: Array) -> Array:
+        """Return the axes in those of the tip's link as the robot's tree has them; `q` (n,) is any posture."""
+        return np.asarray(robot.link_axes(q).T @ robot.tip_axes(q[None])[0] @ self.axes)
+
+    def askew(self, robot: Robot, q: Array) -> float:
+        """Return the angle by which the tool is turned away from its orientation at the start, rad."""
+        axes = robot.tip_axes(q[None])[0] @ self.axes
+        if self.rows == AXIS:
+            wanted = self.axis_along(np.zeros(1), robot.position(q)[None], np.zeros((1, 3)))[0, :3]
+            return float(np.arctan2(np.linalg.norm(np.cross(axes[:, 2], wanted)), axes[:, 2] @ wanted))
+        return float(turned_by(axes, self.frame)) if self.rows == FRAME else 0.0
+
+    def check_joints(self, robot: Robot, q: Array) -> None:
+        """Refuse an arm that has not the joints to hold position and orientation at once."""
+        if self.rows == POSITION:
+            return
+        J = robot.frame_jacobian(q)
+        if self.rows == AXIS:
+            J = np.vstack([J[:3], contact_frame((robot.tip_axes(q[None])[0] @ self.axes)[:, 2])[1:] @ J[3:]])
+        moved = int(np.sum(robot.support))
+        if moved < self.rows:
+            raise ScenarioError(
+                f"{self.said}: position and orientation of the tool together take {self.rows} joints, and "
+                f"{robot.model.name} has {moved} that move it; leave it out, or take an arm with more joints"
+            )
+        sizes = np.linalg.svd(J, compute_uv=False)
+        if sizes[-1] <= RANK_TOLERANCE * sizes[0]:
+            raise ScenarioError(
+                f"{self.said}: the start is a singular pose, in which the joints cannot turn the tool and leave the "
+                "tip where it is; start elsewhere (start.q)"
+            )
+
+
+FREE_ORIENTATION = Orientation(POSITION, np.zeros((3, 3)), np.zeros((3, 3)))
+
+
+def turned_by(axes: Array, wanted: Array) -> Array:
+    """Return the angles between frames, (..., 3, 3) rotations, rad: |A − B| = √8 sin(θ/2), Frobenius' norm."""
+    apart = np.linalg.norm(axes - wanted, axis=(-2, -1))
+    return np.asarray(2.0 * np.arcsin(np.minimum(1.0, apart / math.sqrt(8.0))))
+
+
+def orientation_of(
+    held: str | tuple[float, float, float], axis: Array, robot: Robot, q: Array, surface: PlacedSurface
+) -> Orientation:
+    """Return what reference.orientation asks for.
+
+    Parameters
+    ----------
+    held : str or tuple of float
+        "free", "normal", "start", or the rotation vector of the tip's frame, rad, base frame.
+    axis : (3,) array
+        Axis of the tool, a unit vector in the tip's frame.
+    surface : PlacedSurface
+        Whose normal it is held against.
+    """
+    if held == "free":
+        return FREE_ORIENTATION
+    if held == "normal":
+        axes = contact_frame(axis)[[1, 2, 0]].T
+        return Orientation(AXIS, axes, np.zeros((3, 3)), surface, 'reference.orientation = "normal"')
+    if held == "start":
+        frame = robot.tip_axes(q[None])[0]
+        return Orientation(FRAME, np.eye(3), frame, None, 'reference.orientation = "start"')
+    from scipy.spatial.transform import Rotation
+
+    frame = np.asarray(Rotation.from_rotvec(held).as_matrix())
+    return Orientation(FRAME, np.eye(3), frame, None, f"reference.orientation = {list(held)}")
+
+
+# Instants at which the path is looked at, and by which share the tool may be larger than the hollow: rounding.
+PATH_CHECKS, ROUNDING = 200, 1e-9
+
+
+def hollow_radii(surface: PlacedSurface, times: Array, r: Array) -> Array:
+    """Return the smallest radius of curvature of the hollows at points of a surface, (N,), m; inf where there is none.
+
+    Parameters
+    ----------
+    times : (N,) array
+        s.
+    r : (N, 3) array
+        Points on it at these instants, m, base frame.
+    """
+    shape, found = shape_at(surface), np.full(times.size, math.inf)
+    for k, t in enumerate(times):
+        turn, shift = surface.displacement(float(t))
+        point = turn.T @ (r[k] - shift)
+        n = shape(point, np.zeros(3))[0]
+        if not np.all(np.isfinite(n)):
+            continue  # there is no normal: refused where the path is laid onto the surface
+        tangents = contact_frame(n)[1:]
+        rates = np.array([shape(point, e)[1] for e in tangents])  # of n, for a metre along either tangent
+        bend = rates @ tangents.T
+        least = float(np.linalg.eigvalsh(0.5 * (bend + bend.T))[0])
+        if least < 0.0:
+            found[k] = -1.0 / least
+    return found
+
+
+def refuse_tool_too_large(surface: PlacedSurface, tip: TipPath, radius: float) -> None:
+    """Refuse a tool with a tip of this radius, m, where the path comes to a hollow that is narrower."""
+    if radius == 0.0 or surface.fixed_plane:
+        return
+    times = tip.instants(PATH_CHECKS) if tip.segments else np.zeros(1)
+    r, velocity = tip.sample(times)[:2]
+    refuse_narrow(surface, times, r - radius * surface.normals(times, r, velocity)[0], radius)
+
+
+def refuse_narrow(surface: PlacedSurface, times: Array, r: Array, radius: float) -> None:
+    """Refuse a ball of this radius, m, that touches a surface at points r (N, 3), m, if it does not fit there."""
+    hollow = hollow_radii(replace(surface, radius=0.0), times, r)
+    k = int(np.argmin(hollow))
+    if radius > hollow[k] * (1.0 + ROUNDING):
+        raise ScenarioError(
+            f"tool.radius = {radius:g}: at t = {times[k]:.4g} s the path is at {np.round(r[k], 4).tolist()} m, where "
+            f"the surface is hollow with a radius of {hollow[k]:.4g} m: a tool so large touches it beside its tip; "
+            "must be no larger than that"
+        )
+
 
 TURNS = Size(1e6, "", "no path goes round so often", 1e-9)
 

@@ -26,9 +26,8 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-from closedloop.base.errors import ScenarioError
+from closedloop.base.errors import ScenarioError, missing_line
 from closedloop.base.files import made_folder, write_whole
-from closedloop.base.optional import missing_line
 from closedloop.control.laws.none import NoLaw
 from closedloop.figures.scene.scene import quaternions, scene_of, thin_out
 from closedloop.mechanics.loops.reactions import named_side, parts_of

@@ -11,9 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.base.errors import OutputError
+from closedloop.base.errors import OutputError, needs
 from closedloop.base.files import write_whole
-from closedloop.base.optional import needs
 from closedloop.figures.export.mcap_file import write_mcap
 from closedloop.loop.events.table import EVENT_COLUMNS, KINDS
 from closedloop.record.columns.derived import DERIVED

@@ -21,7 +21,7 @@ from numba.np.arrayobj import make_array
 
 from closedloop.jit.dual8 import has_derivatives, sought
 from closedloop.jit.inside.blocks import array_on
-from closedloop.jit.inside.typing_once import plain
+from closedloop.jit.inside.inline_once import plain
 from closedloop.jit.simd8 import MANY_TURNS, WIDE, every, nearest, select
 
 DOUBLES = ir.VectorType(ir.DoubleType(), WIDE)

@@ -10,7 +10,7 @@ import math
 
 from closedloop.base.arrays import Array
 from closedloop.jit.kernel import kernel
-from closedloop.loop.events.phases import (
+from closedloop.loop.events.locate import (
     AFTER_EVENT,
     APPLY_EVENT,
     AT_EVENT,

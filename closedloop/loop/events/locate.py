@@ -1,4 +1,7 @@
-"""The instant of an event: the event function, negative once a mode has ended, and the bracket around its root."""
+"""Phases and actions of `closedloop.loop.events.proceed`, and the instant of an event.
+
+It is the root, which is bracketed, of the event function: negative once a mode has ended.
+"""
 
 from typing import Any
 
@@ -6,22 +9,56 @@ import numpy as np
 
 from closedloop.jit.calls import call_at
 from closedloop.jit.dual8 import along, has_derivatives, settled, slope_of, sought
-from closedloop.jit.kernel import kernel
+from closedloop.jit.kernel import kernel, kernel_inlined
 from closedloop.jit.simd8 import select
-from closedloop.loop.events.phases import (
-    CHECK_STAGE,
-    LOCATE_EVENT,
-    LOCATE_MINIMUM,
-    NO_TRIAL,
-    REACH_EVENT,
-    RETRY_SUBSTEP,
-    STAGE_CHECKED,
-)
 from closedloop.loop.step.memory import RIGID_STICK, SPRING_STICK, Constants, State, Work
 from closedloop.mechanics.closure.contact_force import FREE, STUCK
 from closedloop.mechanics.friction.answers import LIMIT
 from closedloop.mechanics.friction.law import STILL
 from closedloop.mechanics.limits import AT_EDGE, CLOSED_GAP, INSTANT, SLIGHT, SMALL
+
+# What `proceed` returns.
+DONE, TERMS, TABLE_FULL, IMPACT_LAW_WANTED, FAILED = range(5)
+
+# Phases: what the terms requested last are for, see `closedloop.loop.events.proceed`.
+STEP_END, STAGE, TRIAL_END, AT_EVENT, IMPULSES_KNOWN, AFTER_EVENT, PROJECTION, MEASURED, PART_END, QUERY = range(10)
+
+# What a trial step is for. With STAGE_CHECKED a trial step has shown that a negative f at a stage was no event.
+NO_TRIAL, STAGE_CHECKED, CHECK_STAGE, LOCATE_EVENT, LOCATE_MINIMUM, REACH_EVENT = range(6)
+
+# Actions inside `proceed`. NEED_TERMS: return for the terms at w.q, w.v.
+(
+    NEED_TERMS,
+    ADVANCE,
+    BEGIN_SUBSTEP,
+    RETRY_SUBSTEP,
+    APPLY_EVENT,
+    APPLY_IMPACT,
+    PROJECT,
+    FAIL,
+    ENLARGE_TABLE,
+    SOLVE_IMPACT,
+) = range(10)
+
+# Directions at which the onset of slip is evaluated before its roots are bracketed.
+DIRECTIONS = 36
+
+
+@kernel_inlined
+def request_terms(state: State, phase: int) -> None:
+    """Set what the next terms are for, and whether the law is evaluated with them."""
+    state.phase = phase
+    if phase == PROJECTION:
+        state.sampled = 0
+    elif state.settings.hold > 0:
+        state.sampled = 1 if phase == STEP_END and state.row % state.settings.hold == 0 else 0
+    else:
+        state.sampled = 1
+
+
+# Rows of the table of events at first; it grows as needed.
+INITIAL_EVENTS = 64
+
 
 # An event function that at a stage is no more than a slip that has no direction has jumped: in mm/s at the tip, in m/s
 # at contacts of links.

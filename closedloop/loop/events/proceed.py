@@ -24,15 +24,16 @@ The step is then repeated with other lengths until the instant is bracketed to `
 event, and a step for the remainder replace it. Every substep is a full step of the integrator, so its order is kept.
 What begins and ends between two evaluations is not detected: a negative f that no stage samples, and a free tip that
 penetrates and rises again in one step after moving up at its beginning.
+
+A state is projected onto the closure at position and velocity level. In the phase QUERY an integrator that evaluates
+any state at any instant is told what it wants of one.
 """
 
 from closedloop.base.arrays import Array
-from closedloop.jit.dual8 import has_derivatives
-from closedloop.jit.kernel import inlined_kernel
+from closedloop.jit.dual8 import has_derivatives, sought
+from closedloop.jit.kernel import inlined_kernel, kernel
 from closedloop.loop.events.contacts import apply_contact_impulses
-from closedloop.loop.events.impacts import apply_impact
-from closedloop.loop.events.locate import event_function, note_stage, refine_bracket
-from closedloop.loop.events.phases import (
+from closedloop.loop.events.locate import (
     ADVANCE,
     AFTER_EVENT,
     APPLY_EVENT,
@@ -58,10 +59,12 @@ from closedloop.loop.events.phases import (
     TABLE_FULL,
     TERMS,
     TRIAL_END,
+    event_function,
+    note_stage,
+    refine_bracket,
     request_terms,
+    slip_margin,
 )
-from closedloop.loop.events.projection import project, put_back
-from closedloop.loop.events.query import answer_query
 from closedloop.loop.events.substep import (
     advance_friction,
     check_stage,
@@ -72,21 +75,162 @@ from closedloop.loop.events.substep import (
     save_state,
     take_in_halves,
 )
-from closedloop.loop.events.transitions import apply_event, resume_after_event
-from closedloop.loop.step.advance import advance, advance_decaying, advance_on_manifold, keep_decays
-from closedloop.loop.step.closed_loops import CLOSE
-from closedloop.loop.step.contacts import NO_FORCES, WATCH
-from closedloop.loop.step.energy_supplied import add_stage_work, commit_work
+from closedloop.loop.events.transitions import apply_event, apply_impact, resume_after_event
+from closedloop.loop.step.advance import advance, advance_decaying, advance_on_manifold, keep_decays, move
+from closedloop.loop.step.closed_loops import CLOSE, factorise_tip
+from closedloop.loop.step.contacts import CLOSE_GAPS, CLOSE_RATES, NO_FORCES, WATCH
+from closedloop.loop.step.energy_supplied import add_stage_work, commit_work, power
 from closedloop.loop.step.entries import lead_motors
 from closedloop.loop.step.evaluate import evaluate, evaluate_law
 from closedloop.loop.step.joint_friction import stick_or_slip_joints
-from closedloop.loop.step.locate import locate_tip
-from closedloop.loop.step.memory import Constants, State, Work, ask_contacts, ask_loops
+from closedloop.loop.step.locate import locate_tip, off_anchor
+from closedloop.loop.step.memory import RIGID_STICK, Constants, State, Work, ask_contacts, ask_loops
 from closedloop.loop.step.perceived import back_to_true, read_joints
 from closedloop.loop.step.record_row import record
-from closedloop.mechanics.closure.contact_force import FREE
+from closedloop.mechanics.closure.contact_force import FREE, PRESSED, STUCK, answer_impulse, apply_impulse, stuck_force
 from closedloop.mechanics.closure.solve import OK
-from closedloop.mechanics.limits import OUTPACED
+from closedloop.mechanics.contacts.memory import OFF, ContactLinks, Contacts, contacts_at
+from closedloop.mechanics.limits import CLOSED, OUTPACED, REFINEMENTS
+
+# A projection after an event moves no joint further than this share of the largest gap, rad/m: levers of a centimetre.
+FARTHEST = 100.0
+# `State.projection.moves` once the derivatives of a state of dual numbers (`closedloop.jit.dual8`) have been projected.
+MOVED_ALONG = 1000
+
+
+@kernel
+def project(H: Array, w: Work, constants: Constants, state: State) -> int:
+    """Project the state onto the closure: q by −H⁻¹Aᵀ(A H⁻¹Aᵀ)⁻¹e until e is rounding, then q̇ likewise by ė.
+
+    Of all corrections that close the loop these are the smallest in the norm of H, as a contact impulse's is. They do
+    not contribute to the force of Eq. 24.
+    """
+    state.status = factorise_tip(H, w, constants, state)
+    if state.status != OK:
+        return FAIL
+    if state.coupled != 0:
+        return project_contacts(w, constants, state)
+    stuck = state.mode == STUCK and state.friction.sticking == RIGID_STICK
+    for level in range(2):
+        w.tip.a[0] = w.tip.gap if level == 0 else w.tip.u[0]
+        size = abs(w.tip.a[0])
+        for i in range(1, 3):
+            w.tip.a[i] = 0.0
+            if stuck:
+                w.tip.a[i] = off_anchor(w, state, i) if level == 0 else w.tip.u[i]
+                size = max(size, abs(w.tip.a[i]))
+        if level == 0 and (size <= CLOSED or state.projection.moves >= REFINEMENTS):
+            if not has_derivatives(size) or state.projection.moves >= MOVED_ALONG:
+                continue
+            state.projection.moves = MOVED_ALONG  # the value stays: the derivatives are moved onto the closure
+            for i in range(3):
+                w.tip.a[i] -= sought(w.tip.a[i])
+        if stuck:
+            for i in range(3):
+                w.tip.b[i] = 0.0
+            state.status = stuck_force(w.tip.S, w.tip.a, w.tip.b, w.tip.F, w.tip.stabiliser_force)
+            if state.status != OK:
+                return FAIL
+        else:
+            w.tip.F[0] = -w.tip.a[0] / w.tip.S[0, 0] if w.tip.S[0, 0] > 0.0 else 0.0
+            w.tip.F[1], w.tip.F[2] = 0.0, 0.0
+        if level == 0:
+            if state.settings.balls == 0:
+                apply_impulse(w.L, w.tip.X, w.tip.F, w.scratch.column, w.q)
+            else:
+                answer_impulse(w.L, w.tip.X, w.tip.F, w.scratch.column)
+                move(w, constants)
+            state.projection.moves += 1
+            request_terms(state, PROJECTION)
+            return NEED_TERMS
+        apply_impulse(w.L, w.tip.X, w.tip.F, w.scratch.column, w.v)
+    request_terms(state, state.projection.next_phase)
+    return NEED_TERMS
+
+
+@kernel
+def project_contacts(w: Work, constants: Constants, state: State) -> int:
+    """Do `project` for all contacts that are closed, where they are solved together."""
+    n = w.q.shape[0]
+    links, c = contacts_at(state.contacts.at)
+    state.status = ask_contacts(state, CLOSE_GAPS)
+    if state.status != OK:
+        return FAIL
+    after_event = state.projection.next_phase == AFTER_EVENT  # whose velocities obey the modes already
+    if after_event and too_far(links, c, w):
+        links.moved = 0
+    if links.moved != 0 and state.projection.moves < REFINEMENTS:
+        if state.settings.balls == 0:
+            for j in range(n):
+                w.q[j] += w.scratch.column[j]
+        else:
+            move(w, constants)
+        state.projection.moves += 1
+        request_terms(state, PROJECTION)
+        return NEED_TERMS
+    if not after_event:
+        state.status = ask_contacts(state, CLOSE_RATES)
+        if state.status != OK:
+            return FAIL
+        for j in range(n):
+            w.v[j] += w.scratch.column[j]
+    request_terms(state, state.projection.next_phase)
+    return NEED_TERMS
+
+
+@kernel
+def too_far(links: ContactLinks, c: Contacts, w: Work) -> bool:
+    """Whether the move in `column` is far beside the gaps that it closes, as of rows that nearly depend on others."""
+    gap, far = 0.0, 0.0
+    for i in range(links.points + links.stops):
+        if c.problem.form[i] != OFF:
+            gap = max(gap, abs(c.located[3 * i]))
+    for j in range(links.n):
+        far = max(far, abs(w.scratch.column[j]))
+    return bool(far > FARTHEST * gap)
+
+
+@kernel
+def put_back(w: Work, constants: Constants, state: State) -> None:
+    """Move q by what a step in time puts back of what is deep, see `closedloop.mechanics.contacts.stepping`."""
+    _, c = contacts_at(state.contacts.at)
+    if c.step.shifts == 0.0:
+        return
+    for j in range(w.q.shape[0]):
+        w.scratch.column[j] = c.step.shift[j]
+    move(w, constants)
+
+
+# What a state is evaluated for: its derivative, to begin a step from it, to see how far an event is, to record it.
+DERIVE, BEGIN_STEP, EVENT_VALUE, RECORD = range(4)
+
+
+@kernel
+def answer_query(
+    H: Array, C: Array, w: Work, constants: Constants, state: State, table: Array, rows: Array
+) -> int:  # fmt: skip
+    """Write what `State.query` wants of the state that was evaluated, and return TERMS, or FAILED with `State.status`.
+
+    The event function is in w.search.value, the row in `rows`; see `closedloop.loop.events.proceed` for the arguments.
+    """
+    alone = state.coupled == 0
+    if alone and state.query != DERIVE:
+        state.status = ask_contacts(state, WATCH)
+        if state.status != OK:
+            return FAILED
+    if state.query == DERIVE:
+        w.supply.power = power(w, state)
+    elif state.query == BEGIN_STEP:
+        save_state(w, constants, state)
+    elif state.query == EVENT_VALUE:
+        w.search.value = event_function(w, constants, state)
+        if state.friction.sticking == RIGID_STICK and state.mode == PRESSED and alone:
+            begun, band = w.start.slip_speed, constants.capture_speed
+            if begun > constants.stick_speed and not begun > band > 0.0:  # see `Memory.apply_event`
+                w.search.value = min(w.search.value, 1e3 * (slip_margin(w, constants) - constants.stick_speed))
+    else:
+        record(H, C, w, constants, state, table, rows, state.row)
+    return TERMS
 
 
 @inlined_kernel

@@ -5,8 +5,7 @@ import numpy as np
 from closedloop.base.arrays import Array
 from closedloop.jit.calls import call_at
 from closedloop.jit.kernel import kernel, kernel_inlined
-from closedloop.loop.events.locate import choose_trial, event_function, refine_bracket
-from closedloop.loop.events.phases import (
+from closedloop.loop.events.locate import (
     ADVANCE,
     AFTER_EVENT,
     APPLY_EVENT,
@@ -25,6 +24,9 @@ from closedloop.loop.events.phases import (
     STAGE_CHECKED,
     STEP_END,
     TRIAL_END,
+    choose_trial,
+    event_function,
+    refine_bracket,
     request_terms,
 )
 from closedloop.loop.events.table import REVERSAL, SLIP_AGAIN, STICK
@@ -33,7 +35,7 @@ from closedloop.loop.step.energy_supplied import save_power
 from closedloop.loop.step.evaluate import SPEED_LIMIT
 from closedloop.loop.step.joint_friction import advance_joint_friction
 from closedloop.loop.step.memory import SMOOTH, Constants, State, Work, ask_contacts
-from closedloop.loop.step.singular import near_singular, remember_approach
+from closedloop.loop.step.solve_contact import near_singular, remember_approach
 from closedloop.mechanics.closure.contact_force import FREE, PRESSED
 from closedloop.mechanics.closure.solve import CHATTER, CROWDED, DIVERGED, OK, RUBS
 from closedloop.mechanics.contacts.memory import contacts_at

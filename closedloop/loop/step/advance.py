@@ -30,7 +30,7 @@ import math
 from closedloop.base.arrays import Array
 from closedloop.jit.kernel import kernel, kernel_inlined
 from closedloop.loop.step.memory import Constants, Work
-from closedloop.mechanics.robot.tree.turning import turn
+from closedloop.mechanics.robot.tree.layout import turn
 
 # Some weights are negative. Where a changes so much in a step that an exponential would grow by more than e to this,
 # both are one, which is of order 2.

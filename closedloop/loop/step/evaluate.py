@@ -20,17 +20,16 @@ from closedloop.jit.simd8 import every
 from closedloop.loop.step.closed_loops import DRIVE, factorise_tip, power_of_frames
 from closedloop.loop.step.contacts import FRICTION_RATES
 from closedloop.loop.step.entries import START, TORQUE, desired_acceleration, motor_rates, reference_row, transmit
-from closedloop.loop.step.joint_friction import add_joint_friction, hold_joints
+from closedloop.loop.step.joint_friction import add_joint_friction, hold_joints, share_friction
 from closedloop.loop.step.locate import in_contact_frame, locate_tip
 from closedloop.loop.step.memory import RIGID_STICK, Constants, State, Work, ask_contacts, ask_loops
 from closedloop.loop.step.perceived import keep_terms, perceive, sensor_feels
-from closedloop.loop.step.share_friction import share_friction
 from closedloop.loop.step.solve_contact import contact_force
 from closedloop.loop.step.tip_friction import surface_friction
 from closedloop.mechanics.closure.contact_force import FREE
 from closedloop.mechanics.closure.solve import DIVERGED, LAW_FAILED, OK
 from closedloop.mechanics.friction.answers import RATES
-from closedloop.mechanics.loops.drives import lose_undriven
+from closedloop.mechanics.loops.reactions import lose_undriven
 
 # Joint speed, rad/s (m/s), at which a run stops as diverged, long before the numbers overflow. The rates of three
 # revolute joints are as large as that only within some 1e-5 rad of the posture in which two of their axes are parallel.

@@ -279,7 +279,7 @@ class Settings(Block):
 
 
 class Trial(Block):
-    """The search for an event within a substep; constants in `closedloop.loop.events.phases`."""
+    """The search for an event within a substep; constants in `closedloop.loop.events.locate`."""
 
     purpose: int  # what the trial step is for
     steps: int  # of this search
@@ -300,7 +300,7 @@ class EventCount(Block):
     """The events."""
 
     rows: int  # written of the table of events
-    in_step: int  # less what rows took off, see `closedloop.loop.events.phases.OUTPACED`
+    in_step: int  # less what rows took off, see `closedloop.loop.events.locate.OUTPACED`
     rapid: int  # events in a row within `RAPID` of each other
     kind: int  # of the event
 
@@ -327,10 +327,10 @@ class State(Block):
     settings: Settings
     addresses: Addresses
     proceed: int  # address of the entry of `closedloop.loop.events.proceed`, for the compiled engine
-    # State of the loop; constants in `closedloop.loop.events.phases`.
+    # State of the loop; constants in `closedloop.loop.events.locate`.
     phase: int  # what the terms requested last are for
     begins: int  # 1 if a substep may begin at the state that is evaluated
-    query: int  # what for, in the phase QUERY, see `closedloop.loop.events.query`
+    query: int  # what for, in the phase QUERY, see `closedloop.loop.events.proceed`
     row: int  # the next to be recorded
     stage: int
     mode: int
@@ -345,10 +345,10 @@ class State(Block):
     past_edge: int  # 1 while the tip is not above the surface because it has gone beyond its edge
     cleared: int  # 1 if the tip has been clear of the surface since it lifted off
     coupled: int  # 1 while a contact of a link is closed, or strikes: all contacts are then one problem
-    striking: int  # which contact strikes alone, 0 the tip; see `closedloop.loop.events.impacts.collide`
+    striking: int  # which contact strikes alone, 0 the tip; see `closedloop.loop.events.transitions.collide`
     started: int  # 1 once the law has been evaluated
     batched: int  # rows in `Work.batch`
-    approached: int  # substeps in a row that began near a singular pose, see `closedloop.loop.step.singular`
+    approached: int  # substeps in a row that began near a singular pose, see `closedloop.loop.step.solve_contact`
 
 
 class Gears(Block, sizes=("n",)):
@@ -444,7 +444,7 @@ class Work(Block, sizes=("n", "k", "stages", "ring", "tendons")):
     drives: Drives
     encoders: Encoders
     perceived: Annotated[Array, Perceived.count(N)]
-    approach: Annotated[Array, N + 6]  # see `closedloop.loop.step.singular.Approach`
+    approach: Annotated[Array, N + 6]  # see `closedloop.loop.step.solve_contact.Approach`
 
 
 STATE_COUNT = State.count()

@@ -91,9 +91,7 @@ class LoopRows(Block, sizes=("n", "m")):
     motions: Annotated[Array, 2, 18]  # scratch: see `closedloop.mechanics.loops.rows`, as the next
     directions: Annotated[Array, 3, 9]  # of the rows of a point, with their first and second derivatives
     pair: BoxPair  # that was located last
-    near_q: Annotated[
-        Array, N
-    ]  # scratch, as all that follow: a state near by, see `closedloop.mechanics.loops.passing`
+    near_q: Annotated[Array, N]  # scratch, as all that follow: a state near by, see `closedloop.loop.step.closed_loops`
     near_v: Annotated[Array, N]
     near_part: Annotated[Array, N]
     column: Annotated[Array, N]

@@ -28,7 +28,7 @@ from numpy.typing import ArrayLike, NDArray
 from closedloop.base.arrays import Array
 from closedloop.base.errors import LawError, ScenarioError, one_line
 from closedloop.control.law import Compensation, ControlLaw
-from closedloop.control.reference.orientation import turned_by
+from closedloop.control.reference.path import turned_by
 from closedloop.jit.parameters import state_block
 from closedloop.mechanics.contacts.sections import ContactSection
 from closedloop.mechanics.loops.reactions import LoopReactions, loop_reactions, loop_rows, loop_wrenches, share_of_rows

@@ -36,7 +36,7 @@ from closedloop.mechanics.closure.contact_force import PRESSED, STUCK
 from closedloop.mechanics.friction.contact import joint_contacts
 from closedloop.mechanics.friction.law import AT_REST
 from closedloop.mechanics.integrators import ADAPTIVE, scheme_of
-from closedloop.mechanics.loops.drives import torque_of_drives
+from closedloop.mechanics.loops.reactions import torque_of_drives
 from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.record.columns.record import Record
 from closedloop.record.report.measured import EVENTS_AT, FAILED_AT, WIDTH
@@ -87,7 +87,7 @@ def not_determined_from(run: Record) -> float | None:
 
 def motions_without_drive(run: Record) -> int:
     """Return how many independent motions at the first row no drive takes part in, see
-    `closedloop.mechanics.loops.drives`."""
+    `closedloop.mechanics.loops.reactions`."""
     model = run.model
     if not len(run) or not len(model.undriven):
         return 0

@@ -5,6 +5,8 @@ events, scratch. No run depends on an earlier one: the loop reads no row that it
 
 Runs of one kind go eight at a time in SIMD lanes (`closedloop.simulation.engines.lanes`), with the same results to the
 last bit.
+
+The control of a run is judged from its rows, or from what the lanes keep of them.
 """
 
 import logging
@@ -13,25 +15,39 @@ import traceback
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 from weakref import WeakKeyDictionary
 
 import numpy as np
+from numpy.typing import NDArray
 
 from closedloop.base.arrays import Array
 from closedloop.base.errors import ClosedLoopError, SingularClosureError, faults_on_one_line, one_line
 from closedloop.control.drives import DrivesSection
 from closedloop.jit.background import make_ready
 from closedloop.jit.simd8 import WIDE
+from closedloop.loop.events.table import IMPACT, TOUCHDOWN, EventRow
 from closedloop.loop.step.record_row import Row, recorded
 from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.mechanics.robot.tree import Tree
 from closedloop.record.columns.record import SURFACE_COLUMNS
+from closedloop.record.report.control_verdict import (
+    MEAN_SHARE,
+    PATH_FLOOR,
+    RELEASE,
+    judge_control,
+    judge_force,
+    limited_joints,
+    negative_gain,
+    signals_of,
+    told,
+)
 from closedloop.record.report.measured import CONTROL, FAILED_AT, WIDTH, Tally, Values, measure_rows
 from closedloop.record.report.measures import NAMES, joint_limits
 from closedloop.record.report.run_values import lost_to_slips
-from closedloop.record.report.verdict import count_limited, forget_absent, verdict_of
+from closedloop.record.report.verdict import GOOD, count_limited, forget_absent, verdict_of
 from closedloop.scenario.modes import (
     Pressed,
     Sliding,
@@ -42,17 +58,73 @@ from closedloop.scenario.modes import (
     where_they_press,
 )
 from closedloop.scenario.scenario import Scenario
-from closedloop.simulation.batch.control import control_in_lanes, control_of_rows
 from closedloop.simulation.cache import Cache
 from closedloop.simulation.engines.compiled import compiled_tree, compiled_work
 from closedloop.simulation.engines.lanes import FEWEST, Kind, LaneRuns, kind_of, uses_lanes
-from closedloop.simulation.engines.law_source import fresh
+from closedloop.simulation.engines.law_source import Law, fresh
 from closedloop.simulation.engines.loops import COMPILED
 from closedloop.simulation.engines.problem import Problem
-from closedloop.simulation.engines.user_law import Law
 from closedloop.simulation.prepare import SECTION_BYTES, problem_of
 from closedloop.simulation.simulate import positions_told, run_loop
 from robot_models import RobotModel
+
+
+def control_in_lanes(runs: LaneRuns, lane: int, scenario: Scenario) -> str:
+    """Return "good", or what is wrong with the control of a run in a lane.
+
+    Where nothing can happen to a run, all its rows are in contact. If contact is commanded in all of them and no error
+    ever reaches what a bound is about, the worst of them decides; most runs of a sweep end here, for which the rows are
+    not gone over.
+    """
+    if runs.kind.many:
+        problem, found, events = runs.by_itself(lane)
+        return control_of_rows(problem, found, events, runs.values(lane), None)
+    worst, count = runs.worst(lane), runs.kind.steps + 1
+    scale = math.sqrt(worst.wanted_squared / count)
+    on_path = 4.0 * worst.off_squared <= PATH_FLOOR**2
+    if on_path and worst.least > 0.0 and worst.rise <= RELEASE and not negative_gain(scenario):
+        if worst.miss <= MEAN_SHARE * scale:
+            return GOOD
+        unknown: list[str] = []
+        return _told((judge_force(runs.miss(lane), scale, runs.kind.h, _rows(count), unknown), unknown))
+    wanted, force, along, tip = runs.signals(lane)
+    # In contact from the start, only by how much the path rises off the surface counts.
+    path = along, tip @ runs.normal(lane), tip
+    signals = signals_of(scenario, runs.kind.h, force, wanted, np.ones(count, dtype=bool), path, np.empty(0))
+    return _told(judge_control(signals, {}))
+
+
+@lru_cache(maxsize=8)
+def _rows(count: int) -> NDArray[np.int64]:
+    return np.arange(count)
+
+
+def control_of_rows(problem: Problem, found: Array, events: Array, values: Any, stopped: str | None) -> str:
+    """Return the same of a run by itself.
+
+    It is judged by what `closedloop.record.report.measured.write_control` wrote of its rows, its events, and its values
+    (Values.count(n),).
+    """
+    n = problem.robot.n
+    if not found.shape[1]:
+        return _told(judge_control(None, {}, stopped))
+    kinds = events[:, EventRow.place("kind")]
+    began = (kinds == IMPACT) | (kinds == TOUCHDOWN)
+    signals = signals_of(
+        problem.scenario, problem.h, found[0], found[1], found[2] != 0.0, (found[4:7].T, found[3], found[7:].T),
+        events[began, EventRow.place("time")],
+    )  # fmt: skip
+    measured = Values(values, n)
+    names = problem.robot.model.joint_names
+    limited = limited_joints(names, measured.torque_limited_share, measured.torque_limited_at)
+    return _told(judge_control(signals, limited, stopped))
+
+
+def _told(judged: tuple[list[dict[str, Any]], list[str]]) -> str:
+    """Return the text of the column, with what is not known where nothing else is wrong."""
+    problems, unknown = judged
+    return told({"control_verdict": {"problems": problems, "not_known": unknown}})
+
 
 SINGULAR_AT = FAILED_AT + NAMES.index("nonsingular")
 RAN, STOPPED, REFUSED, FAILED = "done", "stopped", "refused", "failed"

@@ -19,7 +19,7 @@ from closedloop.base.arrays import Array
 from closedloop.jit.blocks import Block
 from closedloop.jit.calls import call_at, fortran_at, integers_at, matrix_at, vector_at
 from closedloop.jit.kernel import entry_kernel, kernel_inlined, plain
-from closedloop.loop.events.phases import TERMS
+from closedloop.loop.events.locate import TERMS
 from closedloop.loop.events.table import EVENT_WIDTH
 from closedloop.loop.step.memory import loop_at
 from closedloop.mechanics.robot.tree import Tree, tree_terms, work_size

@@ -16,9 +16,9 @@ from closedloop.jit.calls import address_of, entry_address
 from closedloop.jit.dual import NotDualError, dual, refused_as_one_line
 from closedloop.jit.kernel import direct
 from closedloop.jit.simd8 import WIDE, aligned
-from closedloop.loop.events.impacts import collide
-from closedloop.loop.events.phases import DONE, INITIAL_EVENTS, TABLE_FULL
+from closedloop.loop.events.locate import DONE, INITIAL_EVENTS, TABLE_FULL
 from closedloop.loop.events.table import EVENT_WIDTH
+from closedloop.loop.events.transitions import collide
 from closedloop.loop.step.memory import Constants, Loop, State, Work
 from closedloop.mechanics.robot.tree import Tree
 from closedloop.record.report.measured import CONTROL, Tally, Values

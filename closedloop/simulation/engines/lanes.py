@@ -4,7 +4,7 @@ They are runs of a batch with the paper's law. The loop calls the kernels of a s
 `closedloop.loop.events` without events, in float64x8 (`closedloop.jit.simd8`): eight runs take each step together, with
 the same result to the last bit. The tips may be free, slide or stick (`closedloop.simulation.engines.lane_contact`). A
 run of which one may not say that nothing happens in a step takes that step by itself
-(`closedloop.simulation.engines.lane_members`). The summary of a run is accumulated row by row
+(`closedloop.simulation.engines.lane_contact`). The summary of a run is accumulated row by row
 (`closedloop.record.report.measured`); the rows are kept only on request.
 
 If one of the eight cannot go on, the loop returns a status, and each of the eight is run by itself.
@@ -22,7 +22,7 @@ from closedloop.jit.calls import address_of, entry_address, integers_at, matrix_
 from closedloop.jit.inside.simd8 import float64x8_at, lane, with_lane
 from closedloop.jit.kernel import entry_kernel, jit_disabled, kernel_inlined, plain
 from closedloop.jit.simd8 import WIDE, aligned, every
-from closedloop.loop.events.phases import INITIAL_EVENTS
+from closedloop.loop.events.locate import INITIAL_EVENTS
 from closedloop.loop.events.table import EVENT_WIDTH
 from closedloop.loop.step.advance import advance
 from closedloop.loop.step.energy_supplied import add_stage_work, commit_work, save_power
@@ -52,8 +52,7 @@ from closedloop.record.report.measures import JointLimits, joint_limits
 from closedloop.scenario.arm import has_stops
 from closedloop.scenario.scenario import Scenario
 from closedloop.simulation.engines.compiled import compiled_terms, compiled_work
-from closedloop.simulation.engines.lane_contact import hold_tips, keep_start, locate_tips, passed_rows, write_rows
-from closedloop.simulation.engines.lane_members import (
+from closedloop.simulation.engines.lane_contact import (
     ALONE,
     WINDOW,
     Alone,
@@ -61,7 +60,12 @@ from closedloop.simulation.engines.lane_members import (
     alone_at,
     first_of,
     go_alone,
+    hold_tips,
+    keep_start,
+    locate_tips,
+    passed_rows,
     take_row,
+    write_rows,
 )
 from closedloop.simulation.engines.loops import COMPILED
 from closedloop.simulation.engines.problem import Problem
@@ -78,7 +82,7 @@ SIGNALS = 3
 
 
 class Worst(Block):
-    """Of all rows, for a first look at the control: `closedloop.simulation.batch.control`."""
+    """Of all rows, for a first look at the control: `closedloop.simulation.batch.worker`."""
 
     miss: float  # largest |f − f_des| of the later half, N
     off_squared: float  # of the tip off its path along the surface, m²

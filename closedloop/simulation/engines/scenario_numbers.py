@@ -40,8 +40,7 @@ from closedloop.mechanics.surface.surface import Compliance
 from closedloop.record.columns.derived import StatesOf, recorded_states, state_columns
 from closedloop.record.columns.record import RESISTANCE_COLUMNS, SURFACE_COLUMNS, Column
 from closedloop.scenario.arm import acting_tendons, has_stops, joint_friction_of, stop_limits, without_tools
-from closedloop.scenario.robot_sections import BeliefSection, ModelErrorSection
-from closedloop.scenario.scenario import BaumgarteGains, Scenario
+from closedloop.scenario.scenario import BaumgarteGains, BeliefSection, ModelErrorSection, Scenario
 from closedloop.scenario.user_module import member_digests
 from closedloop.simulation.engines.bind_contacts import ContactPlaces, ContactRows
 from robot_models import RobotModel

@@ -15,7 +15,7 @@ from closedloop.base.errors import ScenarioError, SimulationError
 from closedloop.jit.background import make_ready
 from closedloop.jit.calls import address_of, entry_address
 from closedloop.jit.simd8 import WIDE
-from closedloop.loop.events.phases import FAILED, MEASURED, STEP_END, TERMS
+from closedloop.loop.events.locate import FAILED, MEASURED, STEP_END, TERMS
 from closedloop.loop.step.memory import Loop, Work
 from closedloop.mechanics.closure.conditioning import BATCH
 from closedloop.mechanics.closure.contact_force import PRESSED, STUCK

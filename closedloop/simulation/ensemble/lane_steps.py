@@ -30,7 +30,7 @@ from closedloop.loop.step.evaluate import bounded
 from closedloop.loop.step.locate import locate_on_plane
 from closedloop.loop.step.memory import RIGID_STICK, SMOOTH, Constants, State, Work, loop_at
 from closedloop.loop.step.record_row import Row, write_row
-from closedloop.loop.step.singular import near_singular
+from closedloop.loop.step.solve_contact import near_singular
 from closedloop.loop.step.tip_friction import surface_friction
 from closedloop.mechanics.closure.contact_force import (
     STUCK,

@@ -16,14 +16,14 @@ from closedloop.jit.blocks import Block
 from closedloop.jit.calls import call_at, fortran_at, integers_at, matrix_at, row_of, vector_at
 from closedloop.jit.kernel import entry_kernel, kernel
 from closedloop.jit.simd8 import WIDE
-from closedloop.loop.events.impacts import collide
-from closedloop.loop.events.phases import DONE, IMPACT_LAW_WANTED, TERMS
+from closedloop.loop.events.locate import DONE, IMPACT_LAW_WANTED, TERMS
 from closedloop.loop.events.table import EVENT_WIDTH, EventRow
+from closedloop.loop.events.transitions import collide
 from closedloop.loop.step.memory import State, loop_at
 from closedloop.loop.step.record_row import ContactRow, Row
 from closedloop.mechanics.closure.contact_force import FREE, PRESSED
 from closedloop.mechanics.contacts.memory import contacts_at
-from closedloop.mechanics.loops.drives import lose_undriven
+from closedloop.mechanics.loops.reactions import lose_undriven
 from closedloop.mechanics.robot.tree import LINK_ROWS, Tree, tree_terms
 from closedloop.simulation.engines.proceed import ADDRESSES, IN_MEMORY, Addresses
 
@@ -37,7 +37,7 @@ TORQUE, FORCE, SHIFT, PARAMETER, JOINT = range(5)
 class Member(Block):
     """Whole numbers, int64: where the memory of a simulation is, and where it stands."""
 
-    addresses: int  # see `closedloop.simulation.engines.proceed.Addresses`
+    addresses: int  # see `closedloop.simulation.engines.compiled.Addresses`
     links: int  # the robot, see `closedloop.mechanics.robot.tree.Tree`
     constants: int
     constants_size: int

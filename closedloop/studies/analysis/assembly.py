@@ -24,7 +24,7 @@ from closedloop.base.arguments import arguments_checked
 from closedloop.base.arrays import Array, ComplexArray
 from closedloop.base.errors import ScenarioError
 from closedloop.mechanics.integrators import ADAPTIVE, AdaptiveIntegrator, Scheme, scheme_of
-from closedloop.scenario.overrides import Variants
+from closedloop.scenario.load import Variants
 from closedloop.scenario.scenario import Scenario
 from closedloop.simulation.cache import Cache
 from closedloop.simulation.engines.problem import Problem

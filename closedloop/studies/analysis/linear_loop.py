@@ -18,8 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import brentq, minimize_scalar
 
 from closedloop.base.arrays import Array, ComplexArray, plain
-from closedloop.base.errors import ScenarioError
-from closedloop.base.optional import missing_line
+from closedloop.base.errors import ScenarioError, missing_line
 from closedloop.scenario.scenario import Scenario
 from robot_models.cached import cached_property
 

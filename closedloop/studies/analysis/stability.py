@@ -19,7 +19,7 @@ from closedloop.base.arrays import Array, number_at, share_of
 from closedloop.base.errors import ClosedLoopError, ScenarioError, SimulationError
 from closedloop.base.second_process import Beside, possible
 from closedloop.mechanics.surface.compliances.none import Rigid
-from closedloop.scenario.overrides import Variants
+from closedloop.scenario.load import Variants
 from closedloop.scenario.scenario import Scenario
 from closedloop.simulation.cache import Cache
 from closedloop.simulation.engines.problem import Problem

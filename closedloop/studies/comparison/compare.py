@@ -14,13 +14,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from closedloop.base.arguments import arguments_checked
-from closedloop.base.errors import ScenarioError
-from closedloop.base.optional import needs
+from closedloop.base.errors import ScenarioError, needs
 from closedloop.scenario.load import load_scenario
 from closedloop.scenario.messages import with_unit
 from closedloop.scenario.scenario import Scenario
-from closedloop.simulation.batch.simulate_batch import simulate_batch
-from closedloop.simulation.batch.table import one_number
+from closedloop.simulation.batch.simulate_batch import one_number, simulate_batch
 from closedloop.simulation.engines.loops import COMPILED
 
 if TYPE_CHECKING:

@@ -15,8 +15,7 @@ import numpy as np
 
 from closedloop.base.arguments import arguments_checked
 from closedloop.base.arrays import Array
-from closedloop.base.errors import ScenarioError
-from closedloop.base.optional import needs
+from closedloop.base.errors import ScenarioError, needs
 from closedloop.base.progress import reporting
 from closedloop.base.second_process import Beside
 from closedloop.record.run import Run

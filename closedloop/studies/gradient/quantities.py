@@ -15,7 +15,7 @@ from closedloop.loop.events.table import EVENT_COLUMNS
 from closedloop.record.columns.derived import DERIVED, columns_by_contact
 from closedloop.record.report.measures import JOINT_MEASURES, MEASURES
 from closedloop.record.run import Run
-from closedloop.scenario.overrides import Variants
+from closedloop.scenario.load import Variants
 from closedloop.scenario.scenario import Scenario
 from closedloop.scenario.tables import table_type, tables_of
 

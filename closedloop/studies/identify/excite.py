@@ -20,8 +20,7 @@ from scipy.optimize import minimize
 
 from closedloop.base.arguments import arguments_checked
 from closedloop.base.arrays import Array
-from closedloop.base.errors import ModelError
-from closedloop.base.optional import needs
+from closedloop.base.errors import ModelError, needs
 from closedloop.studies.identify.regressor import FRICTION, LOAD, BaseParameters, Regressor, Terms, base_parameters
 
 if TYPE_CHECKING:

@@ -21,8 +21,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from closedloop.base.arrays import Array, number_of
+from closedloop.base.errors import missing_line, needs
 from closedloop.base.files import kind_of, reason_of
-from closedloop.base.optional import missing_line, needs
 from closedloop.figures.export.mcap_file import DEFINITIONS
 from closedloop.simulation.batch.threads import Done, uninterrupted
 from closedloop.studies.identify.log import Log, LogError
@@ -263,7 +263,7 @@ def log_of_run(run: Run, source: str = "the run") -> Log:
 def run_of(path: Path) -> Run | None:
     """Return a run of this simulator, or None if the file is another NetCDF."""
     from closedloop.base.errors import ClosedLoopError
-    from closedloop.record.load import load_run
+    from closedloop.record.run import load_run
 
     _must_be_a_file(path)
     try:

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from closedloop.base.arrays import number_at, number_of
 from closedloop.base.errors import ScenarioError
+from closedloop.scenario.load import toml_value
 from closedloop.scenario.messages import takes_whole_numbers
-from closedloop.scenario.overrides import toml_value
-from closedloop.simulation.batch.table import key_type
+from closedloop.simulation.batch.simulate_batch import key_type
 from robot_models.cached import cached_property
 
 FORMS = "5:15:11 (from, to, how many), log:1e-4:1e-2:20, or 5,10,15"

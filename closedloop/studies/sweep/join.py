@@ -26,7 +26,7 @@ import numpy as np
 from closedloop.base.errors import OutputError
 from closedloop.base.files import remove_unfinished, write_whole
 from closedloop.record.columns.record import ALL_COLUMNS
-from closedloop.record.netcdf_file import OF_VARIABLE, write_reserved
+from closedloop.record.save import OF_VARIABLE, write_reserved
 from closedloop.simulation.batch.threads import Done, uninterrupted
 from closedloop.studies.sweep.store import FORMAT, Store, check_identity, occupied, unwritable
 

@@ -7,7 +7,7 @@ Beside ``sweep.parquet`` lies the folder ``sweep.parquet.parts`` with
     part-00000012.npz    its whole columns, if any are kept
 
 A file is written under another name, flushed to the disk and then renamed, which is atomic (`closedloop.base.files`).
-Parts end in their name and a SHA-256 (`closedloop.record.netcdf_file`): one that is damaged, or another's, is run
+Parts end in their name and a SHA-256 (`closedloop.record.save`): one that is damaged, or another's, is run
 again. A lock on the folder, released when its process ends, keeps a second sweep out. Other files are kept.
 """
 
@@ -33,13 +33,11 @@ from closedloop.base.arrays import Array
 from closedloop.base.errors import OutputError, ScenarioError
 from closedloop.base.files import FolderLock, remove_unfinished, why_not_there, write_whole
 from closedloop.record.frame import difference
-from closedloop.record.netcdf_file import seal, unsealed
-from closedloop.scenario.load import parse_scenario
-from closedloop.scenario.overrides import Variants
+from closedloop.record.save import seal, unsealed
+from closedloop.scenario.load import Variants, parse_scenario
 from closedloop.scenario.scenario import families
 from closedloop.scenario.user_module import import_law
-from closedloop.simulation.batch.simulate_batch import in_blocks, run_variants
-from closedloop.simulation.batch.table import schema, table_of
+from closedloop.simulation.batch.simulate_batch import in_blocks, run_variants, schema, table_of
 from closedloop.simulation.batch.worker import Outcome, Worker
 from closedloop.simulation.cache import Cache
 from closedloop.simulation.engines.law_source import law_digest

@@ -17,14 +17,12 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from closedloop.base.errors import ClusterError, OutputError, ScenarioError
-from closedloop.base.optional import missing_line
+from closedloop.base.errors import ClusterError, OutputError, ScenarioError, missing_line
 from closedloop.record.columns.record import ALL_COLUMNS
-from closedloop.scenario.overrides import Variants
+from closedloop.scenario.load import Variants
 from closedloop.scenario.scenario import Scenario
 from closedloop.scenario.user_module import import_law
-from closedloop.simulation.batch.simulate_batch import threads_for
-from closedloop.simulation.batch.table import kept_columns
+from closedloop.simulation.batch.simulate_batch import kept_columns, threads_for
 from closedloop.simulation.batch.threads import Done, side_by_side
 from closedloop.simulation.batch.worker import Worker
 from closedloop.simulation.cache import Cache
@@ -61,7 +59,7 @@ class Sweep:
 
     scenario: Scenario  # what the runs have in common
     design: Design  # the keys that change, and their values
-    # full names of the columns to keep whole, see `closedloop.simulation.batch.table.kept_columns`
+    # full names of the columns to keep whole, see `closedloop.simulation.batch.simulate_batch.kept_columns`
     keep: tuple[str, ...] = ()
     engine: str = COMPILED  # see `closedloop.simulate`
     # law, law_digest: see `closedloop.studies.sweep.store.Job`

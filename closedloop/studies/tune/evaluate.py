@@ -27,11 +27,10 @@ from closedloop.record.frame import difference
 from closedloop.record.report.measures import JOINT_MEASURES, MEASURES
 from closedloop.record.report.verdict import SHAKEN
 from closedloop.scenario.arm import robot_of
+from closedloop.scenario.load import Variants
 from closedloop.scenario.modes import unresolved_feedback
-from closedloop.scenario.overrides import Variants
 from closedloop.scenario.scenario import Scenario
-from closedloop.simulation.batch.simulate_batch import simulate_batch
-from closedloop.simulation.batch.table import one_number
+from closedloop.simulation.batch.simulate_batch import one_number, simulate_batch
 from closedloop.simulation.engines.loops import COMPILED, PINOCCHIO
 from closedloop.simulation.prepare import load_model
 from closedloop.studies.analysis.assembly import linearise

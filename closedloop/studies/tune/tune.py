@@ -18,8 +18,8 @@ from closedloop.base.arguments import arguments_checked
 from closedloop.base.arrays import Array, plain
 from closedloop.base.errors import ScenarioError
 from closedloop.record.report.measures import JOINT_MEASURES, MEASURES
+from closedloop.scenario.load import Variants
 from closedloop.scenario.messages import key_unit
-from closedloop.scenario.overrides import Variants
 from closedloop.scenario.scenario import Scenario
 from closedloop.studies.tune.evaluate import Limit, Runs, Varied, limit_of, varied
 from closedloop.studies.tune.search import BINDS, MEAN, WORST, Found, Search

@@ -10,7 +10,7 @@ from lab_page import opened_page, plotted, settled
 
 import closedloop as cl
 from closedloop.figures.scene.scene import scene_of
-from closedloop.lab.share import MOST_FRAMES
+from closedloop.lab.history import MOST_FRAMES
 from validation.speed import in_browser
 from validation.speed.in_browser import wait_until
 

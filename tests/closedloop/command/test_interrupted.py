@@ -14,12 +14,12 @@ import pytest
 import closedloop as cl
 from closedloop.base.errors import ClosedLoopError
 from closedloop.base.interrupts import Terminated, held_back, terminable
-from closedloop.loop.events.phases import TERMS
+from closedloop.loop.events.locate import TERMS
 from closedloop.loop.step import entries
 from closedloop.record.columns.record import COLUMNS
 from closedloop.simulation import loop_calls, simulate
 from closedloop.simulation.engines import loops
-from closedloop.simulation.engines.user_law import UserLaw
+from closedloop.simulation.engines.law_source import UserLaw
 from closedloop.simulation.prepare import prepare
 
 INTEGRATORS = ("semi_implicit_euler", "rk4", "dop853")

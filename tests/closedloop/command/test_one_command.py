@@ -17,7 +17,7 @@ from closedloop.command.robots import names
 from closedloop.command.table import COMMANDS, overview
 from closedloop.control.law import LAWS, ControlLaw
 from closedloop.mechanics.loops import reactions
-from closedloop.scenario.overrides import toml_value
+from closedloop.scenario.load import toml_value
 from validation.loops.mechanisms import MECHANISMS
 from validation.robot_check import checks
 

@@ -5,7 +5,7 @@ import pytest
 
 import closedloop as cl
 from closedloop.mechanics.surface.placed import contact_frame
-from closedloop.scenario.robot_sections import BeliefSection
+from closedloop.scenario.scenario import BeliefSection
 
 HELD = {"time.duration": 0.05, "friction.kind": "coulomb", "friction.coefficient": 0.5}
 SLOPE = 0.2

@@ -12,7 +12,7 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import null_space
 
 import closedloop as cl
-from closedloop.control.reference.follow import follow
+from closedloop.control.reference.desired import follow
 from closedloop.control.reference.inverse_kinematics import JointPath
 from closedloop.control.reference.paths.line import Line
 from robot_models.planar2 import closed_form

@@ -11,7 +11,7 @@ from scipy.linalg import null_space
 from scipy.optimize import brentq
 
 import closedloop as cl
-from closedloop.control.reference.follow import follow
+from closedloop.control.reference.desired import follow
 from closedloop.control.reference.inverse_kinematics import KNOT_TOLERANCE, PATH_TOLERANCE
 from closedloop.control.reference.path import tip_path
 from closedloop.control.reference.paths.circle import Circle

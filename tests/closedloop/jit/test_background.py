@@ -14,7 +14,7 @@ import closedloop as cl
 from closedloop.control.reference.inverse_kinematics import walk
 from closedloop.jit import background, cache_folder
 from closedloop.jit.cache_folder import MARKER
-from closedloop.loop.events.impacts import collide
+from closedloop.loop.events.transitions import collide
 from closedloop.loop.step.contacts import contacts_in_step
 from closedloop.mechanics.loops.reactions import rows_along
 from closedloop.simulation.engines.lanes import run_in_lanes

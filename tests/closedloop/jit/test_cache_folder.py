@@ -248,7 +248,7 @@ PACKAGE = Path(closedloop.__file__).parent
 def test_constants_of_kernels_count(tmp_path):
     """A file without a kernel, whose constants kernels have, is part of what they say; the commands are not."""
     texts = source_texts(PACKAGE)
-    for name, counts in ("loop/events/phases.py", True), ("loop/step/memory.py", True), ("command/table.py", False):
+    for name, counts in ("loop/events/locate.py", True), ("loop/step/memory.py", True), ("command/table.py", False):
         assert ((PACKAGE / name).read_bytes() in texts) == counts, name
 
 

@@ -13,7 +13,7 @@ from numba.core.registry import cpu_target
 from numba.core.runtime import _nrt_python, rtsys
 from numba.core.targetconfig import ConfigStack
 
-from closedloop.jit.inside.typing_once import call_type
+from closedloop.jit.inside.inline_once import call_type
 from closedloop.jit.kernel import kernel
 
 

@@ -13,7 +13,8 @@ from budget import every
 import closedloop as cl
 import robot_models
 from closedloop.figures.scene.scene import scene_of
-from closedloop.lab import curves, groups
+from closedloop.lab import controls as all_of
+from closedloop.lab import curves
 from closedloop.lab.actions import act
 from closedloop.lab.answers import Answers
 from closedloop.lab.controls import TABS, begin_values, controls
@@ -22,8 +23,7 @@ from closedloop.lab.history import History, Pins, compared, in_words, save
 from closedloop.lab.server import LONG, Newest
 from closedloop.lab.start import begun
 from closedloop.plugins import Annotated, ControlLaw, Field, Positive, gain_in
-from closedloop.scenario.load import parse_scenario
-from closedloop.scenario.overrides import Variants, split_overrides
+from closedloop.scenario.load import Variants, parse_scenario, split_overrides
 from closedloop.simulation.cache import Cache
 from closedloop.simulation.prepare import prepare
 
@@ -90,10 +90,10 @@ def test_each_contact_of_a_list_has_sliders():
 def test_one_slider_moves_a_key_of_all_contacts():
     """Also of a contact that was moved by itself before; where contacts differ there is none."""
     base = cl.load_scenario("gripper_block")
-    history, found = History(base, "gripper_block"), groups.all_controls(base, robot_models.load("gripper"))
+    history, found = History(base, "gripper_block"), all_of.all_controls(base, robot_models.load("gripper"))
     assert found["contact.*.friction", None].value == base.contact[0].friction
     history.change("contact.3.friction", 0.1)
-    apart = groups.all_controls(history.scenario(), robot_models.load("gripper"))
+    apart = all_of.all_controls(history.scenario(), robot_models.load("gripper"))
     assert ("contact.*.friction", None) not in apart
     history.change("contact.*.friction", 0.6)
     assert {each.friction for each in history.scenario().contact} == {0.6}
@@ -354,17 +354,17 @@ def test_a_whole_list_moves_by_one_factor_and_a_typed_number_may_be_beyond_the_s
 def test_every_key_has_one_row_in_the_group_of_its_meaning(name):
     """Gains, damping, friction and surface stand apart; none is twice or missing; what was changed is marked."""
     scenario = cl.load_scenario(name)
-    found = groups.all_controls(scenario, robot_models.load(scenario.robot.model))
-    shown = groups.rows_in_groups(found.values(), {at: c.own for at, c in found.items()}, {})
+    found = all_of.all_controls(scenario, robot_models.load(scenario.robot.model))
+    shown = all_of.rows_in_groups(found.values(), {at: c.own for at, c in found.items()}, {})
     rows = [row for group in shown for row in group["rows"]]
     assert sorted(row["id"] for row in rows) == sorted(k if i is None else f"{k}#{i}" for k, i in found)
     assert not any(row["changed"] for row in rows)
-    assert {groups.group_of(key) for key in ("law.kp", "law.motion_stiffness")} == {groups.STIFFNESS}
-    assert {groups.group_of(key) for key in ("law.kd", "law.motion_damping")} == {groups.DAMPING}
+    assert {all_of.group_of(key) for key in ("law.kp", "law.motion_stiffness")} == {all_of.STIFFNESS}
+    assert {all_of.group_of(key) for key in ("law.kd", "law.motion_damping")} == {all_of.DAMPING}
     if ("law.force", None) in found:
         force = found["law.force", None].with_value(7.25)
-        (group,) = groups.rows_in_groups([force], {("law.force", None): 1.0}, {"law.force": 7.25})
-        assert (group["name"], group["rows"][0]["changed"]) == (groups.LAW, True)
+        (group,) = all_of.rows_in_groups([force], {("law.force", None): 1.0}, {"law.force": 7.25})
+        assert (group["name"], group["rows"][0]["changed"]) == (all_of.LAW, True)
 
 
 class Pressing(ControlLaw):
@@ -382,16 +382,16 @@ class Pressing(ControlLaw):
 def test_a_law_of_ones_own_has_its_name_and_its_gains_are_open():
     """A class is chosen by its name and its group is open; of a function nothing is shown that it does not read."""
     model = robot_models.load("wam4")
-    own = groups.all_controls(cl.load_scenario("wam_slide", {"law.kind": Pressing}), model)
+    own = all_of.all_controls(cl.load_scenario("wam_slide", {"law.kind": Pressing}), model)
     assert own["law.kind", None].value.endswith(":Pressing")
-    (group,) = [g for g in groups.rows_in_groups(own.values(), {}, {}) if g["name"] == groups.MORE]
+    (group,) = [g for g in all_of.rows_in_groups(own.values(), {}, {}) if g["name"] == all_of.MORE]
     assert group["open"]
     assert "law.yielding" in {row["key"] for row in group["rows"]}
-    shipped = groups.all_controls(cl.load_scenario("wam_slide"), model)
-    assert not any(g["open"] for g in groups.rows_in_groups(shipped.values(), {}, {}) if g["name"] == groups.MORE)
-    function = groups.all_controls(cl.load_scenario("wam_slide"), model, "my_laws:press")
+    shipped = all_of.all_controls(cl.load_scenario("wam_slide"), model)
+    assert not any(g["open"] for g in all_of.rows_in_groups(shipped.values(), {}, {}) if g["name"] == all_of.MORE)
+    function = all_of.all_controls(cl.load_scenario("wam_slide"), model, "my_laws:press")
     assert function["law.kind", None].options == ("my_laws:press",)
-    assert {key for key, _ in function if key.startswith("law.")} == set(groups.OF_A_FUNCTION)
+    assert {key for key, _ in function if key.startswith("law.")} == set(all_of.OF_A_FUNCTION)
 
 
 def test_a_red_tile_says_why():

@@ -9,7 +9,7 @@ import pytest
 
 import closedloop as cl
 import robot_models
-from closedloop.lab import groups, mapping
+from closedloop.lab import controls, mapping
 from closedloop.lab.answers import Answers
 from closedloop.lab.history import History
 from closedloop.lab.mapping import Axis, Map, MapWork, coarse_first
@@ -17,7 +17,7 @@ from closedloop.lab.mapping import Axis, Map, MapWork, coarse_first
 
 def control_of(scenario, key, index=None):
     """Return one control."""
-    return groups.all_controls(scenario, robot_models.load(scenario.robot.model))[key, index]
+    return controls.all_controls(scenario, robot_models.load(scenario.robot.model))[key, index]
 
 
 def test_the_cells_of_a_map_are_the_runs_of_their_changes():
@@ -66,7 +66,7 @@ def test_a_first_map_begins_however_loaded_the_computer_is(monkeypatch):
     base = cl.load_scenario("wam_slide", {"time.duration": 0.05})
     answers, begun = Answers(History(base, "wam_slide")), []
     told = []
-    lab = SimpleNamespace(controls=groups.all_controls(base, robot_models.load("wam4")),
+    lab = SimpleNamespace(controls=controls.all_controls(base, robot_models.load("wam4")),
                           tell=lambda slot, message, keep=True: told.append(message))  # fmt: skip
     work = MapWork(lab)
     work.show_keys()
@@ -87,7 +87,7 @@ def test_a_first_map_begins_once_what_it_needs_is_compiled(refused, monkeypatch)
     base = cl.load_scenario("wam_slide", {"time.duration": 0.05})
     told, asked, started, compiled = [], threading.Event(), [], threading.Event()
     answer = Answers(History(base, "wam_slide")).answer({})
-    lab = SimpleNamespace(controls=groups.all_controls(base, robot_models.load("wam4")), answer=answer,
+    lab = SimpleNamespace(controls=controls.all_controls(base, robot_models.load("wam4")), answer=answer,
                           details=SimpleNamespace(ask=lambda answer: asked.set()),
                           tell=lambda slot, message, keep=True: told.append(message.get("line", "")))  # fmt: skip
     monkeypatch.setattr(mapping, "needs_compiling", lambda function: not compiled.is_set())
@@ -127,7 +127,7 @@ def test_a_place_of_the_map_is_a_value_that_its_slider_can_show():
 def test_a_first_map_is_over_keys_that_move_the_tip(name, keys):
     """Not over gains of the posture, which change nothing of a force that others are to answer for."""
     base, told = cl.load_scenario(name), []
-    lab = SimpleNamespace(controls=groups.all_controls(base, robot_models.load(base.robot.model)),
+    lab = SimpleNamespace(controls=controls.all_controls(base, robot_models.load(base.robot.model)),
                           tell=lambda slot, message, keep=True: told.append(message))  # fmt: skip
     work = MapWork(lab)
     work.show_keys()

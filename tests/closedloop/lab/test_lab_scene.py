@@ -18,7 +18,7 @@ from closedloop.lab.animate import CELLS, OWN, Picture
 from closedloop.lab.app import cards
 from closedloop.lab.curves import Panel, Trace, beside, main_panel, panels, reduced
 from closedloop.lab.drawn import frames, from_text, robot_message, space_message
-from closedloop.lab.share import page_of
+from closedloop.lab.history import page_of
 from closedloop.loop.events.table import EVENT_COLUMNS
 from closedloop.mechanics.closure.contact_force import FREE
 from closedloop.mechanics.loops.reactions import loop_rows

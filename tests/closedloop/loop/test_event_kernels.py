@@ -6,9 +6,7 @@ from random_loop import loop_at_random
 from scipy.optimize import brentq
 
 from closedloop.jit.interpreted import interpreted
-from closedloop.loop.events.impacts import apply_impact
-from closedloop.loop.events.locate import refine_bracket, slip_margin
-from closedloop.loop.events.phases import (
+from closedloop.loop.events.locate import (
     AFTER_EVENT,
     AT_EVENT,
     LOCATE_EVENT,
@@ -16,11 +14,13 @@ from closedloop.loop.events.phases import (
     PROJECTION,
     REACH_EVENT,
     STEP_END,
+    refine_bracket,
+    slip_margin,
 )
-from closedloop.loop.events.projection import project
+from closedloop.loop.events.proceed import project
 from closedloop.loop.events.substep import too_many_events
 from closedloop.loop.events.table import EVENT_WIDTH, IMPACT, LIFTOFF, REVERSAL, SLIP_AGAIN, STICK, TOUCHDOWN, EventRow
-from closedloop.loop.events.transitions import apply_event, end_stick_or_slip, find_direction
+from closedloop.loop.events.transitions import apply_event, apply_impact, end_stick_or_slip, find_direction
 from closedloop.mechanics.closure.contact_force import FREE, PRESSED, STUCK
 from closedloop.mechanics.closure.solve import CHATTER, CROWDED, RUBS
 from closedloop.mechanics.limits import INSTANT, MAX_IN_STEP, REFINEMENTS

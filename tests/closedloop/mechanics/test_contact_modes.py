@@ -9,7 +9,7 @@ from contact_mobility import write_own_mobilities
 
 from closedloop.jit.interpreted import interpreted
 from closedloop.loop.events.contacts import apply_contact_event, log_contacts, resume_with_contacts
-from closedloop.loop.events.phases import APPLY_EVENT, AT_EVENT, ENLARGE_TABLE
+from closedloop.loop.events.locate import APPLY_EVENT, AT_EVENT, ENLARGE_TABLE
 from closedloop.loop.events.table import EVENT_WIDTH, LIFTOFF, RELEASE, STOP, EventRow
 from closedloop.loop.step.contacts import margin_of, save_contacts
 from closedloop.mechanics.closure.contact_force import FREE, PRESSED, STUCK

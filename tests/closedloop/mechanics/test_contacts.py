@@ -8,7 +8,7 @@ import closedloop as cl
 import robot_models
 from closedloop.mechanics.closure.contact_force import FREE, PRESSED, STUCK
 from closedloop.mechanics.robot.pinocchio import Robot
-from closedloop.record.load import load_run
+from closedloop.record.run import load_run
 
 
 def on_incline(angle, friction):

@@ -14,7 +14,7 @@ from closedloop.jit.interpreted import interpreted
 from closedloop.jit.kernel import plain
 from closedloop.loop.step.advance import turn_rate
 from closedloop.mechanics.robot.tree import tree_potential_energy, tree_terms, work_size
-from closedloop.mechanics.robot.tree.turning import turn
+from closedloop.mechanics.robot.tree.layout import turn
 from robot_models.coordinates import continuous, with_quaternions, with_rotation_vectors
 from tests.closedloop.free_bodies import BODY, TREE, matrices, no_torque, random_positions, scenario_of, written
 

@@ -7,8 +7,8 @@ import scipy.linalg
 import robot_models
 from closedloop.jit.interpreted import interpreted
 from closedloop.mechanics.loops.bind import loop_memory
-from closedloop.mechanics.loops.drives import through_drives
 from closedloop.mechanics.loops.factor import PIVOT, factor, fewest_entries, meet, order_of, smallest_share
+from closedloop.mechanics.loops.reactions import through_drives
 from closedloop.mechanics.loops.solve import basis_alike, basis_in_metric, leave_free, take_free
 from closedloop.mechanics.robot.pinocchio import Robot
 

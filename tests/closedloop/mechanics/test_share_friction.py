@@ -7,8 +7,8 @@ from scipy.optimize import minimize
 
 import closedloop as cl
 from closedloop.jit.interpreted import interpreted
+from closedloop.loop.step.joint_friction import share_friction
 from closedloop.loop.step.memory import RIGID_STICK
-from closedloop.loop.step.share_friction import share_friction
 from closedloop.mechanics.closure.contact_force import STUCK, factorise
 from closedloop.record.report.tables import report_rows
 

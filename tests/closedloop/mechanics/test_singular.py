@@ -14,7 +14,7 @@ from random_loop import loop_at_random
 import closedloop as cl
 import robot_models
 from closedloop.jit.interpreted import interpreted
-from closedloop.loop.step.singular import Approach, force_in_singular_pose, pushed_on_the_way, remember_approach
+from closedloop.loop.step.solve_contact import Approach, force_in_singular_pose, pushed_on_the_way, remember_approach
 from closedloop.mechanics.closure.solve import OK, PUSHED, SINGULAR
 from closedloop.record.report import print_report
 

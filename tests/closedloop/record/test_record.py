@@ -281,8 +281,8 @@ GROWTH = """
 import os, resource, sys
 from pathlib import Path
 import numpy as np
-from closedloop.record.netcdf_file import Variable, write_netcdf
-from closedloop.record.netcdf_file import seal_file
+from closedloop.record.save import Variable, write_netcdf
+from closedloop.record.save import seal_file
 columns = {f"c{k}": Variable(("time", "joint"), np.random.default_rng(k).normal(size=(125000, 8))) for k in range(9)}
 most = lambda: resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
 def write(rows):
@@ -309,8 +309,8 @@ import resource, sys
 from pathlib import Path
 import numpy as np
 from closedloop.base.errors import OutputError
-from closedloop.record.netcdf_file import Variable, write_netcdf
-from closedloop.record.netcdf_file import seal_file
+from closedloop.record.save import Variable, write_netcdf
+from closedloop.record.save import seal_file
 columns = {name: Variable(("time",), np.zeros(9000), {"units": "m"}) for name in ("time", "q", "v")}
 texts = {"words": "of some length" * 100}
 write_netcdf(Path("whole.nc"), {"time": 9000}, columns, texts, seal_file)

@@ -8,7 +8,7 @@ import pytest
 
 import closedloop as cl
 import robot_models
-from closedloop.record.netcdf_file import seal
+from closedloop.record.save import seal
 
 
 @pytest.fixture(scope="module")

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import closedloop as cl
-from closedloop.record import netcdf_file
+from closedloop.record import save
 from closedloop.record.columns.record import COLUMNS
 from closedloop.record.save import attributes
 
@@ -36,10 +36,10 @@ def same(file, saved):
 
 def test_every_changed_byte_is_told_before_hdf5_reads_it(copy, saved, monkeypatch):
     """One bit anywhere in front of the last line is one line, at once."""
-    monkeypatch.setattr(netcdf_file, "_read_hdf5", None)
+    monkeypatch.setattr(save, "_read_hdf5", None)
     whole = bytearray(saved.read_bytes())
     rng = np.random.default_rng(2)
-    for at in rng.integers(0, len(whole) - netcdf_file.SEAL_LENGTH, 100):
+    for at in rng.integers(0, len(whole) - save.SEAL_LENGTH, 100):
         damaged = whole.copy()
         damaged[at] ^= 1 << int(rng.integers(8))
         copy.write_bytes(damaged)

@@ -9,7 +9,7 @@ import pytest
 
 import closedloop as cl
 import robot_models
-from closedloop.base import optional
+from closedloop.base import errors
 from closedloop.command.border import BAD_INPUT, run_command
 from closedloop.figures.export.tables import write_csv
 from closedloop.studies.identify.read import table_of
@@ -30,7 +30,7 @@ sys.meta_path.insert(0, Blocked())
 @pytest.fixture
 def plain(monkeypatch):
     """Let the packages of the extra `tables` seem not to be installed."""
-    monkeypatch.setattr(optional, "find_spec", lambda name: None)
+    monkeypatch.setattr(errors, "find_spec", lambda name: None)
 
 
 @pytest.mark.parametrize(
@@ -94,6 +94,6 @@ def test_every_extra_that_is_named_exists():
     """Also those of `all` and `dev`, which a user would install."""
     project = tomllib.loads((Path(cl.__file__).parents[1] / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     extras = project["optional-dependencies"]
-    assert {extra for _, extra in optional.EXTRAS.values()} | {"robots"} <= extras.keys()
+    assert {extra for _, extra in errors.EXTRAS.values()} | {"robots"} <= extras.keys()
     for names in (words for words in extras.values() for words in words if words.startswith("closedloop[")):
         assert set(names.removeprefix("closedloop[").rstrip("]").split(",")) <= extras.keys()

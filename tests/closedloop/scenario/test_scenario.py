@@ -12,8 +12,7 @@ import closedloop as cl
 from closedloop.base.sections import ANGLE, PLACE
 from closedloop.loop.step.record_row import Row
 from closedloop.scenario.describe import all_keys, describe_section, explain_key, keys, sections
-from closedloop.scenario.load import parse_scenario
-from closedloop.scenario.overrides import Variants
+from closedloop.scenario.load import Variants, parse_scenario
 from closedloop.simulation.time_step import MOST_NUMBERS
 from robot_models.shipped import path_of
 

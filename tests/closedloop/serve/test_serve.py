@@ -23,7 +23,7 @@ import pytest
 
 import closedloop as cl
 from closedloop.jit.kernel import jit_disabled
-from closedloop.loop.events.impacts import collide
+from closedloop.loop.events.transitions import collide
 from closedloop.serve.messages import ERROR, HEAD, MAGIC, NUMBERS, REQUESTS
 from closedloop.serve.session import Clock
 

@@ -10,8 +10,8 @@ import closedloop as cl
 from closedloop.loop.step.memory import State
 from closedloop.record.report.measures import JOINT_MEASURES, MEASURES
 from closedloop.record.report.verdict import names_of
+from closedloop.scenario.load import Variants
 from closedloop.scenario.messages import key_unit
-from closedloop.scenario.overrides import Variants
 from closedloop.simulation.batch import worker as worker_module
 from closedloop.simulation.cache import Cache
 from closedloop.simulation.prepare import prepare

@@ -9,7 +9,7 @@ import pytest
 import closedloop as cl
 from closedloop.control.reference.table import Reference
 from closedloop.loop.events import locate
-from closedloop.loop.events.phases import REACH_EVENT
+from closedloop.loop.events.locate import REACH_EVENT
 from closedloop.loop.step.record_row import Row
 from closedloop.simulation.engines.dual_loop import DualRun, prepared, structure
 from closedloop.simulation.prepare import prepare

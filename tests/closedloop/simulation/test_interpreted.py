@@ -10,12 +10,12 @@ import pytest
 from budget import budget
 
 import closedloop as cl
-from closedloop.control.reference.follow import follow
+from closedloop.control.reference.desired import follow
 from closedloop.jit import background, calls, interim
 from closedloop.jit.calls import call_at, forget_entry, interpreted_address
 from closedloop.jit.interim import PROBE, Interim
 from closedloop.jit.interpreted import interpreted
-from closedloop.loop.events.impacts import collide
+from closedloop.loop.events.transitions import collide
 from closedloop.loop.step.record_row import complete_record
 from closedloop.record.report.measured import measure_rows
 from closedloop.simulation.cache import _kept

@@ -7,7 +7,7 @@ import closedloop as cl
 from closedloop.simulation.engines.loops import PINOCCHIO
 from closedloop.simulation.prepare import prepare
 from closedloop.simulation.stepper import Stepper
-from closedloop.studies.analysis.closed_contacts import contacts_of
+from closedloop.studies.analysis.here import contacts_of
 
 
 @pytest.mark.parametrize(

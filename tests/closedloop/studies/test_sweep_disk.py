@@ -32,7 +32,7 @@ def test_what_cannot_be_written_is_said_and_leaves_nothing(tmp_path, monkeypatch
     sweeps = "closedloop.studies.sweep"
     modules = {
         "store": (f"{sweeps}.store",),
-        "join": (f"{sweeps}.join", "closedloop.record.netcdf_file"),
+        "join": (f"{sweeps}.join", "closedloop.record.save"),
     }[where]
     calls, memory = [], []
 

@@ -16,7 +16,7 @@ from closedloop.figures.scene.solids import COLOUR, Ghost, Shape
 from closedloop.lab.animate import write_film
 from closedloop.lab.app import Lab
 from closedloop.lab.curves import COLOURS, Panel, Trace
-from closedloop.lab.share import share
+from closedloop.lab.history import share
 from closedloop.record.run import Run
 from validation.measured.cubes.closedloop import ClosedLoopCube
 from validation.measured.cubes.comparing import fitted

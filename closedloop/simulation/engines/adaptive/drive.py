@@ -36,7 +36,7 @@ from scipy.integrate import DOP853, Radau
 from closedloop.base.arrays import Array
 from closedloop.base.errors import DivergenceError, InterruptedRunError, LawError, SimulationError
 from closedloop.jit.interpreted import interpreted
-from closedloop.loop.events.query import BEGIN_STEP, EVENT_VALUE, RECORD
+from closedloop.loop.events.proceed import BEGIN_STEP, EVENT_VALUE, RECORD
 from closedloop.loop.step.memory import RIGID_STICK, SMOOTH, State, Work
 from closedloop.loop.step.record_row import complete_record, rows_there
 from closedloop.mechanics.closure.contact_force import FREE, PRESSED
@@ -46,8 +46,8 @@ from closedloop.mechanics.limits import BREAKING_AWAY, CLOSED_GAP, INSTANT, OUTP
 from closedloop.simulation.engines.adaptive.memory import Memory, Stopped
 from closedloop.simulation.engines.adaptive.smooth import Interval, first_crossing, interval_from, jumps
 from closedloop.simulation.engines.failures import failure_of, interrupted, when
+from closedloop.simulation.engines.law_source import Law
 from closedloop.simulation.engines.problem import Problem
-from closedloop.simulation.engines.user_law import Law
 
 stops_slip: Any = interpreted(stops_slipping)
 Rate = Callable[[float, Array], Array]

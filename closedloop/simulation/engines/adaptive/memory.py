@@ -10,7 +10,7 @@ from closedloop.base.arrays import Array
 from closedloop.base.errors import DivergenceError
 from closedloop.control.reference.table import Reference
 from closedloop.jit.interpreted import interpreted
-from closedloop.loop.events.phases import (
+from closedloop.loop.events.locate import (
     AFTER_EVENT,
     AT_EVENT,
     FAILED,
@@ -19,7 +19,7 @@ from closedloop.loop.events.phases import (
     STEP_END,
     TERMS,
 )
-from closedloop.loop.events.query import BEGIN_STEP, DERIVE, EVENT_VALUE, RECORD
+from closedloop.loop.events.proceed import BEGIN_STEP, DERIVE, EVENT_VALUE, RECORD
 from closedloop.loop.step.advance import turn_rate
 from closedloop.loop.step.closed_loops import CLOSE, closed_loops
 from closedloop.loop.step.external import BEGIN, END, SHARE
@@ -28,8 +28,8 @@ from closedloop.mechanics.closure.contact_force import FREE, PRESSED
 from closedloop.mechanics.closure.solve import LAW_FAILED, OK
 from closedloop.simulation.engines.adaptive.smooth import Interval
 from closedloop.simulation.engines.failures import raised_by_member
+from closedloop.simulation.engines.law_source import Law
 from closedloop.simulation.engines.problem import Problem
-from closedloop.simulation.engines.user_law import Law
 from closedloop.simulation.loop_calls import Driver, drive
 
 # Within this share of a row before the instant from which the PD part of the paper's law acts, the law's time stays at

@@ -59,20 +59,9 @@ from closedloop.scenario.scenario import NO_ROBOT, Scenario
 from closedloop.scenario.user_module import member_digests
 from closedloop.simulation.all_entries import with_all_entries
 from closedloop.simulation.cache import Cache
+from closedloop.simulation.engines import scenario_numbers
 from closedloop.simulation.engines.bind_contacts import contact_rows, placed_contacts
 from closedloop.simulation.engines.problem import STICK_SPEED, Problem
-from closedloop.simulation.engines.scenario_numbers import (
-    Layout,
-    PackedLaw,
-    Shape,
-    calls_any_law,
-    entries_of,
-    is_no_papers_law,
-    pack_compliance,
-    pack_friction,
-    pack_law,
-    settings_of,
-)
 from closedloop.simulation.loop_calls import have_compiled
 from closedloop.simulation.parts import Made, Maker, Parts, Watched
 from closedloop.simulation.time_step import check_stiffness, integrator_of, stabiliser_gains, steps_and_hold
@@ -444,21 +433,23 @@ OF_WHOLE: dict[str, Maker] = {
     "scheme": lambda s, of: integrator_of(s, of.joint_law),
     "load_friction": lambda s, of: _refuse_load_friction(s, of.joint_law),
     "states": lambda s, of: StatesOf.of(s, _model_of(of).n),
-    "plain": lambda s, of: not calls_any_law(s, _model_of(of)),
-    "general": lambda s, of: not of.plain or is_no_papers_law(s.law),
-    "entries": lambda s, of: tuple(entries_of(s, _model_of(of), of.general, of.joint_law).items()),
-    "settings": lambda s, of: tuple(settings_of(s, _model_of(of)).items()),
-    "layout": lambda s, of: Layout.joined(s, of.states, of.general, of.entries, of.settings),
+    "plain": lambda s, of: not scenario_numbers.calls_any_law(s, _model_of(of)),
+    "general": lambda s, of: not of.plain or scenario_numbers.is_no_papers_law(s.law),
+    "entries": lambda s, of: tuple(scenario_numbers.entries_of(s, _model_of(of), of.general, of.joint_law).items()),
+    "settings": lambda s, of: tuple(scenario_numbers.settings_of(s, _model_of(of)).items()),
+    "layout": lambda s, of: scenario_numbers.Layout.joined(s, of.states, of.general, of.entries, of.settings),
     "period": lambda s, of: s.law.sample_period,
     "count": lambda s, of: steps_and_hold(s, of.period, of.layout.row_width),
     "believed_law": lambda s, of: _believed_compensation(s),
     "sampling": lambda s, of: _check_compensation(s, of.believed_law),
     "compiling": _compiling,
     "h": lambda s, of: s.time.step,
-    "friction": lambda s, of: pack_friction(s.friction, _model_of(of).n),
-    "compensation": lambda s, of: pack_law(of.believed_law, _model_of(of).n, _model_of(of).joint_names),
-    "joint_friction": lambda s, of: pack_friction(of.joint_law, _model_of(of).n, joints=True),
-    "compliance": lambda s, of: pack_compliance(s.compliance, _model_of(of).n),
+    "friction": lambda s, of: scenario_numbers.pack_friction(s.friction, _model_of(of).n),
+    "compensation": lambda s, of: scenario_numbers.pack_law(
+        of.believed_law, _model_of(of).n, _model_of(of).joint_names
+    ),
+    "joint_friction": lambda s, of: scenario_numbers.pack_friction(of.joint_law, _model_of(of).n, joints=True),
+    "compliance": lambda s, of: scenario_numbers.pack_compliance(s.compliance, _model_of(of).n),
     "sensor": lambda s, of: pack_sensor(s.sensor, s.time.step),
     "encoder": lambda s, of: _encoder(s, _model_of(of)),
     "transmission": lambda s, of: transmission_constants(s.transmission, _model_of(of)),
@@ -488,7 +479,7 @@ OF_WHOLE: dict[str, Maker] = {
     "pd_start": lambda s, of: _pd_start(s, of.path[0].tip),
     "law": lambda s, of: _packed_law(s, of.pd_start, _model_of(of)),
     "mode": _mode,
-    "shape": lambda s, of: Shape.of(
+    "shape": lambda s, of: scenario_numbers.Shape.of(
         of.law, of.compensation, of.friction, of.joint_friction, of.compliance, of.sensor, of.tendons
     ),
 }  # fmt: skip
@@ -523,11 +514,11 @@ def _pd_start(scenario: Scenario, tip: TipPath) -> float:
     return start
 
 
-def _packed_law(scenario: Scenario, start: float, model: RobotModel) -> PackedLaw:
+def _packed_law(scenario: Scenario, start: float, model: RobotModel) -> scenario_numbers.PackedLaw:
     """Return the control law as numbers, its PD part acting from an instant on, s."""
     law = scenario.law
     law = law.with_valid({"pd_start": start}) if isinstance(law, PaperLaw) else law
-    return pack_law(law, model.n, model.joint_names)
+    return scenario_numbers.pack_law(law, model.n, model.joint_names)
 
 
 def _encoder(scenario: Scenario, model: RobotModel) -> Array:

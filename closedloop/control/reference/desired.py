@@ -8,54 +8,35 @@ spacing of knots is halved until the tip of the interpolated path is within `PAT
 them. So the reference is one function of time, the same for every step size and integrator.
 """
 
-from __future__ import annotations
-
+import itertools
+import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from closedloop.base.arrays import Array
 from closedloop.base.errors import ScenarioError
+from closedloop.control.reference import inverse_kinematics as ik
 from closedloop.control.reference.force import ForceProfile, force_at
-from closedloop.control.reference.inverse_kinematics import JointPath
-from closedloop.control.reference.on_surface import refuse_beyond_edge, refuse_without_normal
-from closedloop.control.reference.path import Path, orientation_of, path_on, refuse_tool_too_large
-from closedloop.control.reference.table import Reference
-from closedloop.control.reference.tip_path import TipPath
-
-if TYPE_CHECKING:
-    from closedloop.mechanics.robot.pinocchio import Robot
-    from closedloop.mechanics.surface.placed import PlacedSurface
-
-import itertools
-import math
-from typing import Any, NamedTuple
-
-from numpy.typing import NDArray
-
-from closedloop.control.reference.inverse_kinematics import (
-    BROKEN,
-    ENDED,
-    KNOT_TOLERANCE,
-    MIDWAY,
-    OFF,
-    OUTCOMES,
-    PATH_TOLERANCE,
-    POSITION,
-    RANK_TOLERANCE,
-    REACHED,
-    Way,
-    scratch_size,
-    walk,
+from closedloop.control.reference.on_surface import refuse_beyond_edge, refuse_without_normal, seams
+from closedloop.control.reference.path import (
+    ASKEW,
+    FREE_ORIENTATION,
+    Orientation,
+    Path,
+    orientation_of,
+    path_on,
+    refuse_tool_too_large,
 )
-from closedloop.control.reference.on_surface import seams
-from closedloop.control.reference.path import ASKEW, FREE_ORIENTATION, Orientation
-from closedloop.control.reference.tip_path import Segment
+from closedloop.control.reference.table import Reference
+from closedloop.control.reference.tip_path import Segment, TipPath
 from closedloop.jit.interim import call_once
 from closedloop.mechanics.loops.assemble import along_path
 from closedloop.mechanics.loops.bind import loop_memory
 from closedloop.mechanics.robot.pinocchio import Robot
+from closedloop.mechanics.surface.placed import PlacedSurface
 from robot_models.model import AT_LIMIT
 
 FIRST_SPACING = 5e-4  # m of path between knots before any halving
@@ -69,7 +50,7 @@ FEW_KNOTS, FEW_WITH_LOOPS = 2_000, 1_000
 DIFFERENCES = 257  # points at which a segment's acceleration is sampled to choose the first intervals
 
 
-def follow(robot: Robot, q: Array, path: TipPath, held: Orientation = FREE_ORIENTATION) -> JointPath:
+def follow(robot: Robot, q: Array, path: TipPath, held: Orientation = FREE_ORIENTATION) -> ik.JointPath:
     """Return the joint path whose tip runs along `path` from joint positions q (n,), at which the tip is at its start.
 
     With an orientation that is `held` it begins at the posture next to q that has it, if that is within a degree.
@@ -80,7 +61,7 @@ def follow(robot: Robot, q: Array, path: TipPath, held: Orientation = FREE_ORIEN
         If the path leaves the workspace or the joint limits, with the first instant at which it does; or if the arm
         cannot hold the orientation, or is not near it at the start.
     """
-    if held.rows != POSITION:
+    if held.rows != ik.POSITION:
         q = _aligned(robot, q, held)
     if path.segments and any(robot.support[j] for j in robot.model.balls):
         raise ScenarioError(
@@ -88,8 +69,8 @@ def follow(robot: Robot, q: Array, path: TipPath, held: Orientation = FREE_ORIEN
             'cannot follow a path: use kind = "hold"'
         )
     if not path.segments:
-        return JointPath.hold(q)
-    parts: list[JointPath] = []
+        return ik.JointPath.hold(q)
+    parts: list[ik.JointPath] = []
     most, who = MOST_KNOTS, Follower.of(robot, q, held)
     with np.errstate(all="ignore"):  # what overflows is refused by name
         for segment in path.segments:
@@ -107,9 +88,9 @@ class Follower(NamedTuple):
     axes: Array
 
     @classmethod
-    def of(cls, robot: Robot, q: Array, held: Orientation) -> Follower:
+    def of(cls, robot: Robot, q: Array, held: Orientation) -> "Follower":
         """Return who follows, of an arm that begins at joint positions q (n,)."""
-        free = held.rows == POSITION
+        free = held.rows == ik.POSITION
         return cls(robot, held, np.zeros((3, 3)) if free else np.ascontiguousarray(held.in_link(robot, q)))
 
     def tip(self, segment: Segment, times: Array) -> Array:
@@ -117,16 +98,16 @@ class Follower(NamedTuple):
         r, velocity, _ = segment.sample(times)
         return np.ascontiguousarray(np.hstack([r, velocity, self.held.axis_along(times, r, velocity)]))
 
-    def walk(self, q: Array, times: Array, knots: Array, midway: Array) -> tuple[Way, int, Array]:
+    def walk(self, q: Array, times: Array, knots: Array, midway: Array) -> tuple[ik.Way, int, Array]:
         """Return what `walk` makes of knots and the places between them, from joint positions q (n,)."""
         robot, held, n = self.robot, self.held, self.robot.n
         limits = np.stack([robot.model.position_lower - AT_LIMIT, robot.model.position_upper + AT_LIMIT])
-        way = Way(
+        way = ik.Way(
             times, knots, midway, held.rows, self.axes, np.ascontiguousarray(held.frame), limits,
             np.zeros((times.size, n)), np.zeros((times.size, n)),
         )  # fmt: skip
         way.q[0] = q
-        outcome, scratch = np.zeros(OUTCOMES), np.zeros(scratch_size(n, held.rows))
+        outcome, scratch = np.zeros(ik.OUTCOMES), np.zeros(ik.scratch_size(n, held.rows))
         written: list[Array | NDArray[np.int64]] = [way.q, way.v, scratch, outcome]
         loops: tuple[Any, int] = 0, 0
         if robot.model.loops:
@@ -134,7 +115,7 @@ class Follower(NamedTuple):
             written += [memory.rows.memory, memory.links.memory]
             loops = along_path, memory.address
         brief = times.size <= (FEW_WITH_LOOPS if robot.model.loops else FEW_KNOTS)
-        reached: int = call_once(walk, written, brief, robot.tree, scratch, way, outcome, *loops)
+        reached: int = call_once(ik.walk, written, brief, robot.tree, scratch, way, outcome, *loops)
         return way, reached, outcome
 
 
@@ -148,10 +129,10 @@ def _aligned(robot: Robot, q: Array, held: Orientation) -> Array:
             q, np.array([0.0, 1.0]), np.repeat(target, 2, axis=0), target
         )
     angle = held.askew(robot, q)
-    if outcome[ENDED] == REACHED and angle <= ASKEW:
+    if outcome[ik.ENDED] == ik.REACHED and angle <= ASKEW:
         return np.array(way.q[1])
     nearest = "another posture"
-    if outcome[ENDED] == REACHED:
+    if outcome[ik.ENDED] == ik.REACHED:
         nearest = f"start.q = {[round(float(x), 9) + 0.0 for x in way.q[1]]}"
     raise ScenarioError(
         f"{held.said}: the tool is turned {math.degrees(angle):.4g} degrees away from it at the start, and "
@@ -159,21 +140,21 @@ def _aligned(robot: Robot, q: Array, held: Orientation) -> Array:
     )
 
 
-def _joined(parts: list[JointPath]) -> JointPath:
+def _joined(parts: list[ik.JointPath]) -> ik.JointPath:
     """Join paths end to end; where the velocity is continuous, their common knot is kept once."""
     once = [0] + [int(np.array_equal(a.v[-1], b.v[0])) for a, b in itertools.pairwise(parts)]
     times = np.concatenate([part.times[k:] for part, k in zip(parts, once, strict=True)])
-    return JointPath(
+    return ik.JointPath(
         np.maximum.accumulate(times),  # the last knot of a segment may be an ulp late
         np.concatenate([part.q[k:] for part, k in zip(parts, once, strict=True)]),
         np.concatenate([part.v[k:] for part, k in zip(parts, once, strict=True)]),
     )
 
 
-def _resolve(who: Follower, q: Array, segment: Segment, most: int, keys: tuple[str, ...]) -> JointPath:
+def _resolve(who: Follower, q: Array, segment: Segment, most: int, keys: tuple[str, ...]) -> ik.JointPath:
     """Return the joint path along one segment, with as many knots as it needs; at most `most` intervals."""
     first, whole = _first_intervals(segment), segment.stop - segment.start
-    parts: list[JointPath] = []
+    parts: list[ik.JointPath] = []
     for begin, end in itertools.pairwise([segment.start, *seams(who.held.surface, segment), segment.stop]):
         share = math.ceil(first * ((end - begin) / whole))
         parts.append(_between(who, parts[-1].q[-1] if parts else q, segment, (begin, end), share, most, keys))
@@ -183,7 +164,7 @@ def _resolve(who: Follower, q: Array, segment: Segment, most: int, keys: tuple[s
 
 def _between(
     who: Follower, q: Array, segment: Segment, span: tuple[float, float], first: int, most: int, keys: tuple[str, ...]
-) -> JointPath:
+) -> ik.JointPath:
     """Return the joint path between two instants of a segment, with `first` intervals or more.
 
     A tool that is held against a surface may have an acceleration that jumps. Knots are needed near the jumps alone:
@@ -192,7 +173,7 @@ def _between(
     intervals, begin, end = first, *span
     while True:
         path, worst = _through_knots(who, q, segment, span, intervals, most, keys)
-        if worst <= PATH_TOLERANCE:
+        if worst <= ik.PATH_TOLERANCE:
             return path
         intervals *= 2
         shortest = SHORTEST_HALF * (segment.stop - segment.start)
@@ -216,7 +197,7 @@ def _first_intervals(segment: Segment) -> int:
     """
     times, gap = np.linspace(segment.start, segment.stop, DIFFERENCES, retstep=True)
     fourth = float(np.max(np.abs(np.diff(segment.sample(times)[2], n=2, axis=0)))) / gap**2
-    needed = (segment.stop - segment.start) * (1.5 * fourth / (384 * PATH_TOLERANCE)) ** 0.25
+    needed = (segment.stop - segment.start) * (1.5 * fourth / (384 * ik.PATH_TOLERANCE)) ** 0.25
     wanted = max(1.0, segment.length / FIRST_SPACING, needed if math.isfinite(needed) else 1.0)
     return math.ceil(min(wanted, 1e300))
 
@@ -224,7 +205,7 @@ def _first_intervals(segment: Segment) -> int:
 def _through_knots(
     who: Follower, q: Array, segment: Segment, span: tuple[float, float], intervals: int, most: int,
     keys: tuple[str, ...],
-) -> tuple[JointPath, float]:  # fmt: skip
+) -> tuple[ik.JointPath, float]:  # fmt: skip
     """Return the joint path through the knots, and the largest distance of the tip from its path midway, m.
 
     A path is refused at the first knot out of the workspace.
@@ -245,7 +226,7 @@ def _through_knots(
         raise _unreachable(who, way.q[reached - 1], float(times[reached - 1]), h, segment, keys)
     if intervals > most:
         raise ScenarioError(f"reference: the path takes more than {MOST_KNOTS} knots; make it shorter or slower")
-    return JointPath(times, way.q, way.v), float(outcome[MIDWAY])
+    return ik.JointPath(times, way.q, way.v), float(outcome[ik.MIDWAY])
 
 
 def _unreachable(
@@ -258,10 +239,10 @@ def _unreachable(
         middle = 0.5 * (low + high)
         tip = who.tip(segment, start + middle * np.array([0.0, 0.5, 1.0]))
         way, _, outcome = who.walk(q, np.array([0.0, middle]), tip[[0, 2]], tip[1:2])
-        if outcome[ENDED] == REACHED:
+        if outcome[ik.ENDED] == ik.REACHED:
             low = middle
         else:
-            high, reason = middle, _reason(who, way, int(outcome[ENDED]))
+            high, reason = middle, _reason(who, way, int(outcome[ik.ENDED]))
         if high - low < 1e-6:
             break
     where = np.array2string(
@@ -274,14 +255,14 @@ def _unreachable(
     )
 
 
-def _reason(who: Follower, way: Way, ended: int) -> str:
+def _reason(who: Follower, way: ik.Way, ended: int) -> str:
     """Return the reason why the second knot of a way was not reached."""
     robot = who.robot
-    if ended == BROKEN:
+    if ended == ik.BROKEN:
         return "the inverse kinematics broke down"
-    if ended == OFF and who.held.rows != POSITION:
+    if ended == ik.OFF and who.held.rows != ik.POSITION:
         return f"the tip cannot get there with its tool held ({who.held.said})"
-    if ended == OFF:
+    if ended == ik.OFF:
         return f"the tip cannot get there: the path leaves the workspace{_barred(robot, way.q[0], way.knots[1, :3])}"
     x, (lower, upper) = way.q[1], way.limits
     j = int(np.argmax((x < lower) | (x > upper)))
@@ -293,8 +274,8 @@ def _barred(robot: Robot, q: Array, target: Array) -> str:
     """Return the directions of the way to `target` (3,), m, in which no joint moves the tip at q (n,), in words."""
     r, J = robot.position_and_jacobian(q)
     U, sizes, _ = np.linalg.svd(J)
-    rank = int(np.sum(sizes > RANK_TOLERANCE * sizes[0]))
-    ways = [way for way in U[:, rank:].T if abs(float(way @ (target - r))) > 0.5 * KNOT_TOLERANCE]
+    rank = int(np.sum(sizes > ik.RANK_TOLERANCE * sizes[0]))
+    ways = [way for way in U[:, rank:].T if abs(float(way @ (target - r))) > 0.5 * ik.KNOT_TOLERANCE]
     if not ways:
         return ""
     named = [(way * np.sign(way[np.argmax(np.abs(way))])).round(4) + 0.0 for way in ways]
@@ -309,7 +290,7 @@ class Motion:
     """The desired motion as a function of time."""
 
     tip: TipPath  # the tip's path, base frame
-    joints: JointPath  # the joints' path along it
+    joints: ik.JointPath  # the joints' path along it
 
     def table(self, instants: Array, spare: int = 0) -> Array:
         """Return the table at `instants` (P,), s, rows of `Reference` without a force; at a discontinuity with the

@@ -34,16 +34,8 @@ from closedloop.mechanics.contacts.sections import ContactSection
 from closedloop.mechanics.loops.reactions import LoopReactions, loop_reactions, loop_rows, loop_wrenches, share_of_rows
 from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.mechanics.surface.placed import unit
+from closedloop.record.columns import touching
 from closedloop.record.columns.record import CONTACT_COLUMNS, RESISTANCE_COLUMNS, Column, Record
-from closedloop.record.columns.touching import (
-    contact_torques,
-    contacts_of,
-    external_wrenches,
-    frames_in_rows,
-    moved_wrench,
-    placed_frame,
-    wrenches_on_links,
-)
 from closedloop.scenario.arm import acting_tendons, has_stops, robot_of, stop_limits, without_tools
 from closedloop.scenario.scenario import Scenario
 from closedloop.scenario.tables import labels_of, names_of, patches_of, tangents_of
@@ -116,14 +108,14 @@ def _of_contacts(run: Record, robot: Robot) -> Array:
             of_tip[k] = robot.frame_jacobian(run.q[k])[3:].T @ moment
     model, q = without_tools(robot.model).pinocchio_model(), robot.pinocchios(run.q)
     if run.scenario.external_force:
-        axes, origins, jacobians = frames_in_rows(model, q, list(range(1, model.njoints)))
-        for link, place, wrench in external_wrenches(run, model, robot.tip, axes, origins):
-            of_tip += np.einsum("kij,ki->kj", jacobians[link], moved_wrench(wrench, place - origins[:, link]))
+        axes, origins, jacobians = touching.frames_in_rows(model, q, list(range(1, model.njoints)))
+        for link, place, wrench in touching.external_wrenches(run, model, robot.tip, axes, origins):
+            of_tip += np.einsum("kij,ki->kj", jacobians[link], touching.moved_wrench(wrench, place - origins[:, link]))
     if not run.scenario.contact:
         return of_tip
     resists = any(section.resists for section in run.scenario.contact)
     moments = (run.link_rolling_moments, run.link_pivoting_moments) if resists else ()
-    of_links = contact_torques(run.scenario, model, run.time, q, run.link_forces, run.link_frictions, *moments)
+    of_links = touching.contact_torques(run.scenario, model, run.time, q, run.link_forces, run.link_frictions, *moments)
     return of_tip + of_links
 
 
@@ -133,11 +125,13 @@ def wrist_wrench(run: Record) -> Array:
     force, moment = tip_force(run), tip_moment(run)
     if any(section.link is None for section in run.scenario.external_force or ()):
         mechanism = without_tools(robot.model).pinocchio_model()
-        axes, origins, _ = frames_in_rows(mechanism, robot.pinocchios(run.q), list(range(1, mechanism.njoints)))
-        outside = external_wrenches(run, mechanism, robot.tip, axes, origins)
+        axes, origins, _ = touching.frames_in_rows(
+            mechanism, robot.pinocchios(run.q), list(range(1, mechanism.njoints))
+        )
+        outside = touching.external_wrenches(run, mechanism, robot.tip, axes, origins)
         for section, (_, place, wrench) in zip(run.scenario.external_force or (), outside, strict=True):
             if section.link is None:
-                about = moved_wrench(wrench, place - run.position)
+                about = touching.moved_wrench(wrench, place - run.position)
                 force, moment = force + about[:, :3], moment + about[:, 3:]
     return robot.wrist_wrench(run.q, run.v, run.acceleration, force, moment)
 
@@ -355,8 +349,8 @@ def face_wrench(run: Record, name: str) -> Array:
     numbers = numbers_of(run.scenario, name)
     robot = robot_of(run.scenario, without_tools(run.model))
     mechanism = robot.passes[3]
-    axes, origins, _ = frames_in_rows(mechanism, robot.pinocchios(run.q), list(range(1, mechanism.njoints)))
-    contacts = contacts_of(run.scenario, mechanism)
+    axes, origins, _ = touching.frames_in_rows(mechanism, robot.pinocchios(run.q), list(range(1, mechanism.njoints)))
+    contacts = touching.contacts_of(run.scenario, mechanism)
     first = contacts[numbers[0]]
     middle = np.mean([contacts[k].point for k in numbers], axis=0)
     about = origins[:, first.point_frame] + axes[:, first.point_frame] @ middle
@@ -396,7 +390,7 @@ def joint_wrench(run: Record, joint: str, frame: str = JOINT) -> Array:
     bare = without_tools(robot.model).pinocchio_model()  # whose frames no tool moves
     number = mechanism.getJointId(joint)
     q, outside = robot.pinocchios(run.q), np.zeros((len(run), mechanism.njoints, 6))
-    axes, origins, _ = frames_in_rows(mechanism, q, list(range(1, mechanism.njoints)))
+    axes, origins, _ = touching.frames_in_rows(mechanism, q, list(range(1, mechanism.njoints)))
     tip, force = mechanism.frames[mechanism.getFrameId(robot.tip)].parentJoint, tip_force(run)
     about = np.cross(run.position - origins[:, tip], force) + tip_moment(run)
     outside[:, tip] += np.concatenate([force, about], axis=1)
@@ -404,16 +398,18 @@ def joint_wrench(run: Record, joint: str, frame: str = JOINT) -> Array:
         resists = any(section.resists for section in run.scenario.contact)
         moments = (run.link_rolling_moments, run.link_pivoting_moments) if resists else (None, None)
         carried = (run.link_forces, run.link_frictions, *moments)
-        for link, wrench in wrenches_on_links(contacts_of(run.scenario, bare), run.time, axes, origins, carried):
+        for link, wrench in touching.wrenches_on_links(
+            touching.contacts_of(run.scenario, bare), run.time, axes, origins, carried
+        ):
             outside[:, link] += wrench
-    for link, place, wrench in external_wrenches(run, bare, robot.tip, axes, origins):
-        outside[:, link] += moved_wrench(wrench, place - origins[:, link])
+    for link, place, wrench in touching.external_wrenches(run, bare, robot.tip, axes, origins):
+        outside[:, link] += touching.moved_wrench(wrench, place - origins[:, link])
     if run.model.loops:
         for sides, place, wrench in loop_wrenches(robot, run.q, reactions_of(run, robot).reactions):
             for side, sign in zip(sides, (1.0, -1.0), strict=True):
-                link = placed_frame(bare, side)[0]
-                outside[:, link] += sign * moved_wrench(wrench, place - origins[:, link])
-    carrier, within, _ = placed_frame(mechanism, WORLD if frame == JOINT else frame)
+                link = touching.placed_frame(bare, side)[0]
+                outside[:, link] += sign * touching.moved_wrench(wrench, place - origins[:, link])
+    carrier, within, _ = touching.placed_frame(mechanism, WORLD if frame == JOINT else frame)
     found = np.empty((len(run), 6))
     for k in range(len(run)):
         turned = pin.StdVec_Force()

@@ -39,16 +39,8 @@ from closedloop.record.report.verdict import (
     outside_by_the_run,
     outside_by_the_scenario,
 )
+from closedloop.scenario import modes
 from closedloop.scenario.arm import robot_of
-from closedloop.scenario.modes import (
-    Pressed,
-    Sliding,
-    gains_fault,
-    unresolved,
-    unresolved_feedback,
-    where_it_slides,
-    where_they_press,
-)
 from closedloop.scenario.user_module import lacks_members
 
 
@@ -212,14 +204,14 @@ def _unresolved(run: Record) -> list[str]:
     robot = robot_of(run.scenario, run.model)
     depth, own_law = -float(run.closure_error[0]), run.law != "scenario"
 
-    def sliding() -> Sliding | None:
-        return where_it_slides(run.q, run.surface_normal, run.contact_force, run.friction_force, run.mode)
+    def sliding() -> modes.Sliding | None:
+        return modes.where_it_slides(run.q, run.surface_normal, run.contact_force, run.friction_force, run.mode)
 
-    def pressed() -> Pressed | None:
-        return where_they_press(run.q, run.link_forces)
+    def pressed() -> modes.Pressed | None:
+        return modes.where_they_press(run.q, run.link_forces)
 
-    lines = unresolved(run.scenario, robot, run.q[0], run.surface_normal[0], depth, sliding, own_law, pressed)
-    return lines if own_law else lines + unresolved_feedback(run.scenario, robot)
+    lines = modes.unresolved(run.scenario, robot, run.q[0], run.surface_normal[0], depth, sliding, own_law, pressed)
+    return lines if own_law else lines + modes.unresolved_feedback(run.scenario, robot)
 
 
 def _control(run: Record, joints: dict[str, Array]) -> dict[str, Any]:
@@ -276,7 +268,7 @@ def run_gains_fault(run: Record) -> str:
     """Return what is wrong with the gains for this step; nothing is known of a law or a class of one's own."""
     if run.law != "scenario" or lacks_members(run.scenario):
         return ""
-    return gains_fault(run.scenario, robot_of(run.scenario, run.model))
+    return modes.gains_fault(run.scenario, robot_of(run.scenario, run.model))
 
 
 def joint_measures(run: Record) -> dict[str, Array]:

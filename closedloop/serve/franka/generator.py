@@ -25,31 +25,8 @@ import numpy as np
 from scipy.linalg import eigh
 
 from closedloop.base.arrays import Array
+from closedloop.serve.franka import wire
 from closedloop.serve.franka.arm import JOINTS, Arm, turned
-from closedloop.serve.franka.wire import (
-    CARTESIAN_COMMAND_ACCELERATION,
-    CARTESIAN_COMMAND_JERK,
-    CARTESIAN_COMMAND_VELOCITY,
-    CARTESIAN_POSE,
-    CARTESIAN_REFLEX,
-    CARTESIAN_START_INVALID,
-    CARTESIAN_VELOCITY,
-    JOINT_COMMAND_ACCELERATION,
-    JOINT_COMMAND_JERK,
-    JOINT_COMMAND_POSITION,
-    JOINT_COMMAND_VELOCITY,
-    JOINT_POSITION,
-    JOINT_POSITION_LIMITS,
-    JOINT_REFLEX,
-    JOINT_START_INVALID,
-    JOINT_VELOCITY,
-    JOINT_VELOCITY_LIMITS,
-    NO_GENERATOR,
-    TORQUE_DISCONTINUITY,
-    TORQUE_RANGE,
-    Command,
-    pose_of,
-)
 from robot_models.mechanism import turned as rotation_about
 
 # Steps of Newton's method for a pose: a cycle moves it by millimetres, and each step squares the error.
@@ -87,31 +64,31 @@ class Generator:
 
     def wanted_pose(self, kind: int) -> Array:
         """Return the pose (4, 4) that is wanted of the end effector: the commanded one, or that of commanded joints."""
-        return self._arm.end_effector(self.q)[0] if kind in (JOINT_POSITION, JOINT_VELOCITY) else self.pose
+        return self._arm.end_effector(self.q)[0] if kind in (wire.JOINT_POSITION, wire.JOINT_VELOCITY) else self.pose
 
-    def follow(self, kind: int, command: Command) -> None:
+    def follow(self, kind: int, command: wire.Command) -> None:
         """Take over a command for the present cycle."""
         h, q = self._h, self.q
-        if kind == JOINT_POSITION:
+        if kind == wire.JOINT_POSITION:
             self._joints(np.array(command.q), (np.array(command.q) - q) / h)
-        elif kind == JOINT_VELOCITY:
+        elif kind == wire.JOINT_VELOCITY:
             dq = np.array(command.dq)
             self._joints(q + h * dq, dq)
-        elif kind == CARTESIAN_POSE:
-            before, pose = self.pose, pose_of(command.pose)
+        elif kind == wire.CARTESIAN_POSE:
+            before, pose = self.pose, wire.pose_of(command.pose)
             step = np.concatenate((pose[:3, 3] - before[:3, 3], turned(before[:3, :3], pose[:3, :3])))
             self._commanded(step / h)
             self.pose = pose
             self._reach(command.elbow)
-        elif kind != NO_GENERATOR:
+        elif kind != wire.NO_GENERATOR:
             self._twisted(np.array(command.twist), command.elbow)
 
     def go_on(self, kind: int, stop: bool) -> None:
         """Extrapolate with the acceleration as it is, or, where commands stay away for long, come to a stop."""
-        if kind in (JOINT_POSITION, JOINT_VELOCITY):
+        if kind in (wire.JOINT_POSITION, wire.JOINT_VELOCITY):
             dq = SLOWER * self.dq if stop else self.dq + self._h * self.ddq
             self._joints(self.q + self._h * dq, dq)
-        elif kind != NO_GENERATOR:
+        elif kind != wire.NO_GENERATOR:
             self._twisted(SLOWER * self.twist if stop else self.twist + self._h * self.acceleration, None)
 
     def _joints(self, q: Array, dq: Array) -> None:
@@ -264,46 +241,46 @@ class Reflexes:
         """Return the errors of collisions."""
         if not self._collided:
             return set()
-        found = {JOINT_REFLEX} if self.collision[:JOINTS].any() else set()
-        return found | ({CARTESIAN_REFLEX} if self.collision[JOINTS:].any() else set())
+        found = {wire.JOINT_REFLEX} if self.collision[:JOINTS].any() else set()
+        return found | ({wire.CARTESIAN_REFLEX} if self.collision[JOINTS:].any() else set())
 
     def of_state(self, q: Array, v: Array, limits: bool) -> set[int]:
         """Return the errors of a joint that runs away or, with limits, that is outside of them or quicker than them."""
         found = set()
         if limits and ((q < self._within[0]).any() or (q > self._within[1]).any()):
-            found.add(JOINT_POSITION_LIMITS)
+            found.add(wire.JOINT_POSITION_LIMITS)
         if beyond(v, self._speed.tolist() if limits else self._runaway):
-            found.add(JOINT_VELOCITY_LIMITS)
+            found.add(wire.JOINT_VELOCITY_LIMITS)
         return found
 
     def of_torque(self, torque: Array, before: Array | None) -> set[int]:
         """Return the errors of a commanded torque (7,), N m; of its rate where it came after another."""
         found = set()
         if before is not None and (np.abs(torque - before) > SLACK * TORQUE_RATE * self._h).any():
-            found.add(TORQUE_DISCONTINUITY)
+            found.add(wire.TORQUE_DISCONTINUITY)
         if beyond(torque, self._effort):
-            found.add(TORQUE_RANGE)
+            found.add(wire.TORQUE_RANGE)
         return found
 
     def of_command(self, kind: int, motion: Generator, first: bool) -> set[int]:
         """Return the errors of a command that the generator has followed; the first one must begin where the arm is."""
-        if kind in (JOINT_POSITION, JOINT_VELOCITY):
+        if kind in (wire.JOINT_POSITION, wire.JOINT_VELOCITY):
             limits = (
-                (JOINT_COMMAND_VELOCITY, motion.dq, self._speed),
-                (JOINT_COMMAND_ACCELERATION, motion.ddq, np.full(JOINTS, JOINT_ACCELERATION)),
-                (JOINT_COMMAND_JERK, motion.jerk, np.full(JOINTS, JOINT_JERK)),
+                (wire.JOINT_COMMAND_VELOCITY, motion.dq, self._speed),
+                (wire.JOINT_COMMAND_ACCELERATION, motion.ddq, np.full(JOINTS, JOINT_ACCELERATION)),
+                (wire.JOINT_COMMAND_JERK, motion.jerk, np.full(JOINTS, JOINT_JERK)),
             )
             found = {error for error, rate, limit in limits if (np.abs(rate) > SLACK * limit).any()}
             if (motion.q < self._within[0]).any() or (motion.q > self._within[1]).any():
-                found.add(JOINT_COMMAND_POSITION)
-            return {JOINT_START_INVALID} if first and kind == JOINT_POSITION and found else found
-        if kind in (CARTESIAN_POSE, CARTESIAN_VELOCITY):
-            errors = CARTESIAN_COMMAND_VELOCITY, CARTESIAN_COMMAND_ACCELERATION, CARTESIAN_COMMAND_JERK
+                found.add(wire.JOINT_COMMAND_POSITION)
+            return {wire.JOINT_START_INVALID} if first and kind == wire.JOINT_POSITION and found else found
+        if kind in (wire.CARTESIAN_POSE, wire.CARTESIAN_VELOCITY):
+            errors = wire.CARTESIAN_COMMAND_VELOCITY, wire.CARTESIAN_COMMAND_ACCELERATION, wire.CARTESIAN_COMMAND_JERK
             rates = motion.twist, motion.acceleration, motion.twist_jerk
             found = {
                 error
                 for error, rate, (linear, angular) in zip(errors, rates, CARTESIAN, strict=True)
                 if np.linalg.norm(rate[:3]) > SLACK * linear or np.linalg.norm(rate[3:]) > SLACK * angular
             }
-            return {CARTESIAN_START_INVALID} if first and kind == CARTESIAN_POSE and found else found
+            return {wire.CARTESIAN_START_INVALID} if first and kind == wire.CARTESIAN_POSE and found else found
         return set()

@@ -15,14 +15,24 @@ and a value that does not exist is empty, not NaN.
 from __future__ import annotations
 
 import itertools
+import json
+import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from closedloop.base.arguments import arguments_checked
+from closedloop.base.arrays import Array
 from closedloop.base.errors import ScenarioError, needs
 from closedloop.base.progress import reporting
 from closedloop.base.second_process import cores
 from closedloop.jit.simd8 import WIDE
+from closedloop.loop.events.table import KINDS
+from closedloop.loop.step.record_row import ARM_RECORDED, RECORDED
+from closedloop.record.columns.record import SYMBOLS
+from closedloop.record.report.measured import WIDTH
+from closedloop.record.report.measures import JOINT_MEASURES, MEASURES, NAMES
 from closedloop.scenario.load import Variants
 from closedloop.scenario.scenario import Scenario, families
 from closedloop.simulation.batch.threads import Done, side_by_side
@@ -36,25 +46,6 @@ from robot_models import RobotModel
 
 if TYPE_CHECKING:
     import pyarrow as pa
-
-
-import json
-import math
-from typing import TYPE_CHECKING
-
-import numpy as np
-
-from closedloop.base.arrays import Array
-from closedloop.loop.events.table import KINDS
-from closedloop.loop.step.record_row import ARM_RECORDED, RECORDED
-from closedloop.record.columns.record import SYMBOLS
-from closedloop.record.report.measured import WIDTH
-from closedloop.record.report.measures import JOINT_MEASURES, MEASURES, NAMES
-
-if TYPE_CHECKING:
-    import pyarrow as pa
-
-    from closedloop.scenario.scenario import Scenario
 
 
 def kept_columns(names: Iterable[str]) -> tuple[str, ...]:

@@ -48,15 +48,7 @@ from closedloop.record.report.measured import CONTROL, FAILED_AT, WIDTH, Tally, 
 from closedloop.record.report.measures import NAMES, joint_limits
 from closedloop.record.report.run_values import lost_to_slips
 from closedloop.record.report.verdict import GOOD, count_limited, forget_absent, verdict_of
-from closedloop.scenario.modes import (
-    Pressed,
-    Sliding,
-    feedback_key,
-    unresolved,
-    unresolved_feedback,
-    where_it_slides,
-    where_they_press,
-)
+from closedloop.scenario import modes
 from closedloop.scenario.scenario import Scenario
 from closedloop.simulation.cache import Cache
 from closedloop.simulation.engines.compiled import compiled_tree, compiled_work
@@ -331,10 +323,8 @@ class Worker:
 
     def _unresolved_feedback(self, scenario: Scenario, robot: Robot) -> list[str]:
         """Return what of the law's feedback the step does not resolve."""
-        return self._cache.get(
-            ("feedback", robot, feedback_key(scenario, self._cache.text)), lambda: unresolved_feedback(scenario, robot),
-            lambda lines: SECTION_BYTES,
-        )  # fmt: skip
+        key = "feedback", robot, modes.feedback_key(scenario, self._cache.text)
+        return self._cache.get(key, lambda: modes.unresolved_feedback(scenario, robot), lambda lines: SECTION_BYTES)
 
     def _tree(self, problem: Problem) -> tuple[Tree, Array]:
         robot = problem.robot
@@ -357,17 +347,17 @@ def _unresolved(problem: Problem, rows: Array, own_law: bool) -> list[str]:
     n = problem.robot.n
     first = Row(rows[0], n)
 
-    def sliding() -> Sliding | None:
+    def sliding() -> modes.Sliding | None:
         shape = len(problem.scenario.contact or ()), problem.row_states
         q, normal, f, friction, mode = (
             recorded(rows, n, name, *shape)
             for name in ("q", "surface_normal", "contact_force", "friction_force", "mode")
         )
-        return where_it_slides(q, normal, f, friction, mode)
+        return modes.where_it_slides(q, normal, f, friction, mode)
 
-    def pressed() -> Pressed | None:
+    def pressed() -> modes.Pressed | None:
         shape = len(problem.scenario.contact or ()), problem.row_states
-        return where_they_press(recorded(rows, n, "q"), recorded(rows, n, "link_forces", *shape))
+        return modes.where_they_press(recorded(rows, n, "q"), recorded(rows, n, "link_forces", *shape))
 
     return _unresolved_at(problem, first, sliding, own_law, pressed)
 
@@ -375,7 +365,7 @@ def _unresolved(problem: Problem, rows: Array, own_law: bool) -> list[str]:
 def _unresolved_at(problem: Problem, first: Row, *more: Any) -> list[str]:
     """Return what the step does not resolve where a run begins; see `closedloop.scenario.modes.unresolved`."""
     depth = -float(first.closure_error)
-    return unresolved(problem.scenario, problem.robot, problem.q, first.surface_normal, depth, *more)
+    return modes.unresolved(problem.scenario, problem.robot, problem.q, first.surface_normal, depth, *more)
 
 
 def failed(error: Exception) -> Outcome:

@@ -25,17 +25,7 @@ from closedloop.jit.user_code import of_users
 from closedloop.loop.step.entries import CALLS
 from closedloop.loop.step.evaluate import SPEED_LIMIT
 from closedloop.loop.step.memory import Loop
-from closedloop.mechanics.closure.solve import (
-    CHATTER,
-    CROWDED,
-    LOOPS_OPEN,
-    NO_NORMAL,
-    NOT_POSITIVE_DEFINITE,
-    PAINLEVE,
-    PUSHED,
-    RUBS,
-    SINGULAR,
-)
+from closedloop.mechanics.closure import solve
 from closedloop.mechanics.contacts.surfaces import Called
 from closedloop.mechanics.friction.law import surface_parameters
 from closedloop.mechanics.friction.laws.lugre import LuGre, is_passive, passive_damping_speed
@@ -67,27 +57,27 @@ def interrupted(stop: KeyboardInterrupt, t: float) -> InterruptedRunError:
 
 def failure_of(status: int, t: float, robot: Robot, problem: Problem, law: Any, q: Array, v: Array) -> SimulationError:
     """Return the error of a status of `closedloop.mechanics.closure.solve` other than OK, at q and q̇ (n,) at t, s."""
-    if status == SINGULAR and not problem.scenario.contact:
+    if status == solve.SINGULAR and not problem.scenario.contact:
         return SingularClosureError(
             f"{when(t)}: singular pose: at q = {_numbers(q)} the tip cannot move along the surface normal "
             f"{_normal_at(problem, q, t).round(4).tolist()}, so Eq. 24 does not determine the contact force; "
             "start from, or steer through, another posture",
             t,
         )
-    if status == PUSHED:
+    if status == solve.PUSHED:
         return SingularClosureError(
             f"{when(t)}: singular pose: at q = {_numbers(q)} the tip cannot move along the surface normal "
             f"{_normal_at(problem, q, t).round(4).tolist()}, and the torque pushes it that way: the contact force "
             "grows beyond all bounds; steer through another posture, or by a torque that does not push there",
             t,
         )
-    if status == NOT_POSITIVE_DEFINITE:
+    if status == solve.NOT_POSITIVE_DEFINITE:
         return SingularClosureError(
             f"{when(t)}: the mass matrix of {robot.model.name} is not positive definite; "
             "some joint moves no inertia (look at the masses and tensors of the last links)",
             t,
         )
-    if status == NO_NORMAL:
+    if status == solve.NO_NORMAL:
         return NoNormalError(
             f"{when(t)}: the surface has no normal at {_numbers(robot.position(q))} m, where the tip is"
             f"{', or that of another contact where its point is' if problem.scenario.contact else ''}: the gradient "
@@ -95,13 +85,13 @@ def failure_of(status: int, t: float, robot: Robot, problem: Problem, law: Any, 
             "away from its centre, edge or apex",
             t,
         )
-    if status == LOOPS_OPEN:
+    if status == solve.LOOPS_OPEN:
         return SimulationError(
             f"{when(t)}: at q = {_numbers(q)} the joints cannot follow a [[mocap]]: the loops that hold onto it stay "
             "open; look at mocap.motion, and at the start",
             t,
         )
-    if status == CHATTER and problem.placed is not None:
+    if status == solve.CHATTER and problem.placed is not None:
         cure = "look at time.step" + ("" if law is None else ", and at a law that depends on the contacts")
         who = "contacts" if problem.scenario.contact else "tip and the stops of joints"
         return ChatterError(
@@ -109,18 +99,18 @@ def failure_of(status: int, t: float, robot: Robot, problem: Problem, law: Any, 
             f"modes agrees with its own forces; {cure}",
             t,
         )
-    if status == CHATTER:
+    if status == solve.CHATTER:
         return ChatterError(
             f"{when(t)}: the contact chatters: at one instant the torque presses the tip "
             "on while it is free, and lifts it while it touches; look at a law that depends on the contact, and at "
             "time.step",
             t,
         )
-    if status in (RUBS, CROWDED):
+    if status in (solve.RUBS, solve.CROWDED):
         return _rubs_without_end(status, t)
-    if problem.scenario.contact and status in (PAINLEVE, SINGULAR):
+    if problem.scenario.contact and status in (solve.PAINLEVE, solve.SINGULAR):
         return _contacts_fail(status, t, problem.scenario)
-    if status == PAINLEVE:
+    if status == solve.PAINLEVE:
         jams = ", or is jammed between it and the stops of joints" if problem.placed is not None else ""
         return PainleveError(
             f"{when(t)}: Painlevé's paradox: the tip slides so that pressing harder pulls it into the surface (the "
@@ -164,7 +154,7 @@ def _gains(scenario: Scenario, robot: Robot) -> str:
 
 def _rubs_without_end(status: int, t: float) -> SimulationError:
     """Return the error of a tip that changes its mode again and again, at one instant or in every step."""
-    if status == RUBS:
+    if status == solve.RUBS:
         return ChatterError(
             f"{when(t)}: stick and slip alternate without end at one instant: no direction of slip "
             "agrees with its own friction, and friction cannot hold the tip; look at friction, at "
@@ -181,7 +171,7 @@ def _rubs_without_end(status: int, t: float) -> SimulationError:
 
 def _contacts_fail(status: int, t: float, scenario: Scenario) -> SimulationError:
     """Return the error of several contacts that no forces go with."""
-    if status == SINGULAR:
+    if status == solve.SINGULAR:
         return SingularClosureError(
             f"{when(t)}: the contacts are inconsistent: no forces give all of them the accelerations that they "
             "require; look for contacts of bodies that cannot move, and leave one out",

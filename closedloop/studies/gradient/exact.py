@@ -48,17 +48,7 @@ from closedloop.simulation.engines.dual_loop import DIRECTIONS, DualRun, Prepare
 from closedloop.simulation.engines.problem import Problem
 from closedloop.simulation.prepare import prepare
 from closedloop.simulation.simulate import columns_of_rows, positions_told
-from closedloop.studies.gradient.differences import (
-    LEVELS,
-    LOCATED,
-    ROUNDING,
-    Along,
-    Estimate,
-    Sample,
-    difference,
-    samples,
-    two_sided,
-)
+from closedloop.studies.gradient import differences
 from closedloop.studies.gradient.quantities import EVENTS, SHARE, Direction, Keys, Output, slices_of, values_of
 from robot_models import RobotModel
 
@@ -116,12 +106,12 @@ def seeds_of(keys: Keys, direction: Direction, base: Prepared, model: RobotModel
         if np.any(np.abs(wide - near) > LINEAR * np.abs(wide) + rounding):
             curved.append(i)
     if curved:
-        if not all(sample(level) for level in range(2, LEVELS)):
+        if not all(sample(level) for level in range(2, differences.LEVELS)):
             return None
         for i in curved:
             at = np.nan_to_num(base.floats[i], posinf=0.0, neginf=0.0).ravel()
             minus, plus = (np.nan_to_num([each[i].ravel() for each in side], posinf=0.0, neginf=0.0) for side in sides)
-            parts[i] = two_sided(direction.step, at, minus, plus).value.reshape(base.floats[i].shape)
+            parts[i] = differences.two_sided(direction.step, at, minus, plus).value.reshape(base.floats[i].shape)
     return Seeds(parts, not curved, (nearest[0], nearest[1], direction.step * 0.5 ** (len(sides[0]) - 1)))
 
 
@@ -137,22 +127,23 @@ KINKED = 1e-3
 
 
 def agreeing(
-    keys: Keys, run: Run, base: Sample, outputs: Sequence[Output], rows: dict[Direction, list[Array | None]],
-    there: list[bool], model: RobotModel | None, report: Callable[[int, int], None], workers: int | None,
+    keys: Keys, run: Run, base: differences.Sample, outputs: Sequence[Output],
+    rows: dict[Direction, list[Array | None]], there: list[bool], model: RobotModel | None,
+    report: Callable[[int, int], None], workers: int | None,
 ) -> list[bool]:  # fmt: skip
     """Return which outputs have the derivatives that two plain runs have between them."""
     weights = np.random.default_rng(0).uniform(0.5, 1.0, len(rows))
     slices, good = slices_of(outputs, run), np.zeros(len(outputs), dtype=bool)
-    noise = NOISE * (LOCATED if base.happened else ROUNDING)
+    noise = NOISE * (differences.LOCATED if base.happened else differences.ROUNDING)
 
     whys = []
     for beside in BESIDE:
         changes = {d: beside * weight * d.step / SHARE for d, weight in zip(rows, weights, strict=True)}
         sides = [{d: sign * change for d, change in changes.items()} for sign in (-1.0, 1.0)]
-        minus, plus = samples(
+        minus, plus = differences.samples(
             [partial(keys.scenario_at, side) for side in sides], partial(values_of, outputs), model, report, workers
         )
-        whys.append(difference(base, minus) or difference(base, plus))
+        whys.append(differences.difference(base, minus) or differences.difference(base, plus))
         if whys[-1]:
             continue
         for i, part in enumerate(slices):
@@ -303,7 +294,7 @@ OF_STEP = 0.1
 class Exact(NamedTuple):
     """The derivatives of outputs along directions that dual numbers give."""
 
-    found: dict[Direction, Along]  # of the outputs in `outputs`, one after the other
+    found: dict[Direction, differences.Along]  # of the outputs in `outputs`, one after the other
     outputs: list[Output]  # those that have all their derivatives, in order; there may be none
     problems: list[str]  # why some are less exact
 
@@ -314,7 +305,7 @@ NOTHING = Exact({}, [], [])
 def exact(
     keys: Keys,
     run: Run,
-    base: Sample,
+    base: differences.Sample,
     outputs: Sequence[Output],
     model: RobotModel | None,
     report: Callable[[int, int], None],
@@ -335,7 +326,7 @@ _refused: dict[tuple[Any, ...], str] = {}
 
 
 def _exact(
-    keys: Keys, run: Run, base: Sample, outputs: Sequence[Output], model: RobotModel | None,
+    keys: Keys, run: Run, base: differences.Sample, outputs: Sequence[Output], model: RobotModel | None,
     report: Callable[[int, int], None], workers: int | None,
 ) -> Exact:  # fmt: skip
     start, cache = prepared(prepare(keys.scenario, model)), Cache()
@@ -372,7 +363,7 @@ def _exact(
     there = [all(each[i] is not None for each in rows.values()) for i in range(len(outputs))]
     agree = agreeing(keys, run, base, outputs, rows, there, model, report, workers)
     kept = [i for i, good in enumerate(agree) if good]
-    rounding = LOCATED if base.happened else ROUNDING
+    rounding = differences.LOCATED if base.happened else differences.ROUNDING
     slices = slices_of(outputs, run)
     found, less = {}, not_unique(run)
     late = np.concatenate([np.zeros(0, dtype=bool), *(less.follows(outputs[i], run) for i in kept if less)])
@@ -386,8 +377,8 @@ def _exact(
         method = DUALS if known[d].linear else f"{DUALS}, {PREPARED}"
         methods = [f"{method}, {OF_COLUMNS}" if _by_columns(outputs[i], run) else method for i in kept]
         none = np.zeros(value.size, dtype=bool)
-        found[d] = Along(
-            Estimate(value, error, value, value, none), count=value.size, method=method, settled=True,
+        found[d] = differences.Along(
+            differences.Estimate(value, error, value, value, none), count=value.size, method=method, settled=True,
             methods=np.repeat(methods, [slices[i].stop - slices[i].start for i in kept]) if kept else None,
         )  # fmt: skip
     return Exact(found, [outputs[i] for i in kept], [less.problem] if less and np.any(late) else [])
@@ -483,7 +474,7 @@ class _Reader:
         both = np.asarray(getattr(self._values, output.name))
         value, derivative = both[..., 0], both[..., lane]
         its = output.of(self._run)
-        rounding = NOISE * ROUNDING * rounded(self._run, output)
+        rounding = NOISE * differences.ROUNDING * rounded(self._run, output)
         same = np.abs(value - its) <= SAME * np.maximum(np.abs(its), np.abs(value)) + rounding
         return np.array(derivative) if np.all(same) and np.all(np.isfinite(derivative)) else None
 
@@ -509,9 +500,9 @@ class _Reader:
             return values_of(outputs, made)
 
         step = OF_STEP * direction.step
-        steps = step * 0.5 ** np.arange(LEVELS)
+        steps = step * 0.5 ** np.arange(differences.LEVELS)
         minus, plus = (np.array([beside(sign * each) for each in steps]) for sign in (-1.0, 1.0))
-        estimate = two_sided(step, beside(0.0), minus, plus)
+        estimate = differences.two_sided(step, beside(0.0), minus, plus)
         value = np.where(estimate.kink, np.nan, estimate.value)
         return [
             None if np.any(np.isnan(value[part])) else (value[part].reshape(each.of(run).shape), estimate.error[part])

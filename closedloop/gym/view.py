@@ -7,147 +7,55 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.base.arrays import Array
-from closedloop.figures.scene.scene import (
-    ARROWS,
-    PATH,
-    WANTED,
-    grid_triangles,
-    joint_frames,
-    round_down,
-    scene_of,
-)
-from closedloop.figures.scene.solids import Shape, robot_shapes, solids_mesh
+from closedloop.figures.scene.scene import WANTED, scene_of
 from closedloop.gym.core import Core
+from closedloop.lab.animate import OWN, Picture
+from closedloop.lab.drawn import curves, focus, frames, robot_message, run_message, space_message
 from closedloop.loop.events.table import EVENT_WIDTH
 from closedloop.record.run import Run
 from closedloop.simulation.engines.loops import COMPILED
 from closedloop.simulation.engines.problem import Problem
 from closedloop.simulation.simulate import as_run
-from robot_models.cached import cached_property
-from robot_models.coordinates import with_quaternions
 
-# Inches, and dots for each: 640 by 480 pixels.
-SIZE, DOTS = (6.4, 4.8), 100
-# The wanted force is drawn as long as this share of the arm's reach.
-LONGEST = 0.3
-# Half the side of the surface that is drawn, m, and squares along it.
-HALF, SQUARES = 0.15, 8
+# Instants that the page in the browser shows, and points of the desired path, at most.
 TRAIL = 2000
 
 
-class _Arm:
-    """The arm of an environment: its shapes, and the frames that they are in."""
-
-    def __init__(self, problem: Problem) -> None:
-        self.model = problem.robot.model
-        self._tip = problem.robot.tip
-        self.scale = round_down(LONGEST * problem.robot.reach / max(abs(problem.scenario.law.force), 1.0))
-
-    @cached_property
-    def shapes(self) -> tuple[Shape, ...]:
-        """The shapes of the links."""
-        return robot_shapes(self.model, self._tip)
-
-    def places(self, q: Array) -> tuple[Array, Array]:
-        """Return the axes (k, 3, 3) and origins (k, 3) of the base and each joint."""
-        return joint_frames(self.model, with_quaternions(q, self.model.joint_types))
-
-
-def patch(problem: Problem, around: Array) -> tuple[Array, Array, Array]:
-    """Return x, y and z (k, k) of points of the surface around a point, as far as there is one."""
-    surface = problem.surface
-    frame, side = problem.frame, np.linspace(-HALF, HALF, SQUARES + 1)
-    points = around + side[:, None, None] * frame[1] + side[None, :, None] * frame[2]
-    for point in points.reshape(-1, 3):
-        for _ in range(3):  # onto the surface, along its normal there
-            now = surface.touching(point, np.zeros(3))
-            if not np.isfinite(now.gap) or abs(now.gap) > 2.0 * HALF:
-                point[:] = np.nan
-                break
-            point -= now.gap * now.frame[0]
-    return points[..., 0], points[..., 1], points[..., 2]
-
-
-class Picture:
-    """Pictures (H, W, 3) of the arms, drawn by matplotlib without a display."""
+class Pictures:
+    """Pictures (480, 640, 3) of the arms, drawn as those of films are, without a display."""
 
     def __init__(self, core: Core) -> None:
-        from matplotlib.backends.backend_agg import FigureCanvasAgg
-        from matplotlib.figure import Figure
-
-        self._core, self._most = core, 0.0
-        self._arm: _Arm | None = None
-        self._figure: Any = Figure(figsize=SIZE, dpi=DOTS)
-        self._canvas: Any = FigureCanvasAgg(self._figure)
-        self._axes: Any = self._figure.add_axes((0.0, 0.0, 0.72, 1.0), projection="3d")
-        self._bar: Any = self._figure.add_axes((0.85, 0.3, 0.14, 0.62))
+        self._core = core
+        self._drawn: dict[int, tuple[Problem, Picture]] = {}
 
     def show(self, i: int) -> NDArray[np.uint8]:
-        """Return the picture of environment `i`."""
+        """Return the picture of environment `i`, with its time and forces in the corner."""
         from matplotlib import rc_context
 
-        with rc_context({"font.size": 9}):
-            self._draw(i)
-            self._canvas.draw()
-        return np.asarray(self._canvas.buffer_rgba())[..., :3].copy()
-
-    def _draw(self, i: int) -> None:
-        core, axes, now = self._core, self._axes, self._core.now
-        problem = core.ensemble.problem(i)
-        arm = self._arm
-        if arm is None or arm.model is not problem.robot.model:
-            arm = self._arm = _Arm(problem)
-        axes.clear()
-        _, origins = arm.places(now.q[i])
-        tip = now.tip[i]
-        line = np.vstack([origins[1:], tip])
-        axes.plot(*line.T, color="0.35", linewidth=5.0, marker="o", markersize=7.0, markerfacecolor="0.75")
-        if problem.scenario.has_surface:
-            x, y, z = patch(problem, core.ensemble.problem(i).robot.position(problem.q))
-            axes.plot_surface(x, y, z, color="0.8", alpha=0.45, edgecolor="0.6", linewidth=0.4)
-        elif self._draw_walls(problem, arm, now.q[i]):
-            line = line[-1:]  # what is seen is the tip between them
-        axes.plot(*path_of(problem).T, color=WANTED, linewidth=1.0)
-        axes.scatter(*now.wanted_tip[i][:, None], color=PATH, s=12)
-        for force, kind in ((now.f[i] * now.normal[i], "contact force"), (now.friction_force[i], "friction")):
-            axes.quiver(*tip, *(arm.scale * force), color=ARROWS[kind], linewidth=2.0, arrow_length_ratio=0.15)
-        middle, half = 0.5 * (line.min(axis=0) + line.max(axis=0)), 0.5 * np.ptp(line, axis=0).max() + 0.05
-        axes.set(
-            xlim=(middle[0] - half, middle[0] + half), ylim=(middle[1] - half, middle[1] + half),
-            zlim=(middle[2] - half, middle[2] + half), xlabel="x in m", ylabel="y in m", zlabel="z in m",
-        )  # fmt: skip
-        axes.set_box_aspect((1, 1, 1))
-        axes.view_init(20.0, -60.0)
-        axes.text2D(0.03, 0.95, f"t = {now.time[i]:.2f} s", transform=axes.transAxes)
-        (names, forces), bar = shown_forces(core, i), self._bar
-        wanted, places = float(now.f_des[i]), np.arange(len(names))
-        self._most = max(self._most, 2.0 * abs(wanted), 1.0, *forces.tolist())
-        bar.clear()
-        bar.bar(places, forces, color=ARROWS["contact force"], width=0.8)
-        bar.axhline(wanted, color=ARROWS["commanded force"], linewidth=2.0)
-        bar.set(xlim=(-0.6, len(names) - 0.4), ylim=(0.0, self._most), title="force in N")
-        bar.set_xticks(places if len(names) > 1 else [], names if len(names) > 1 else [], rotation=90, fontsize=7)
-
-    def _draw_walls(self, problem: Problem, arm: _Arm, q: Array) -> bool:
-        """Draw the bodies that links touch, and the last link; return whether there are such bodies."""
-        from mpl_toolkits.mplot3d.art3d import Poly3DCollection  # type: ignore[import-untyped]
-
-        vertices, faces = _surface(problem)
-        if not len(faces):
-            return False
-        turns, origins = arm.places(q)
-        parts = [(vertices[faces], (0.7, 0.7, 0.7), 0.35)]
-        for shape in arm.shapes:
-            if shape.joint == len(origins) - 1:
-                placed = origins[-1] + shape.vertices @ turns[-1].T
-                parts.append((placed[np.asarray(shape.faces)], shape.colour, 0.9))
-        for triangles, colour, alpha in parts:
-            self._axes.add_collection3d(Poly3DCollection(triangles, facecolor=colour, alpha=alpha))
-        return True
+        core, now = self._core, self._core.now
+        problem, row = core.ensemble.problem(i), core.ensemble.rows[i][None]
+        scene = scene_of(run_of(problem, row.copy(), core.ensemble.wanted[i][None].copy(), now.time[[i]].copy()))
+        forces = [f"{name} = {force:.1f} N" for name, force in zip(*shown_forces(core, i), strict=True)]
+        with rc_context(OWN):
+            if self._drawn.get(i, (None,))[0] is not problem:
+                self._drawn[i] = problem, _picture(problem, row)
+            picture = self._drawn[i][1]
+            picture.scene = scene
+            pixels = picture.pixels(0, "\n".join([f"t = {now.time[i]:.2f} s", *forces]))
+        return pixels[..., :3].copy()
 
     def close(self) -> None:
-        """Let the figure go."""
-        self._figure.clear()
+        """Let the figures go."""
+        self._drawn.clear()
+
+
+def _picture(problem: Problem, row: Array) -> Picture:
+    """Return the figure of an episode that begins with a recorded row (1, k); without a surface of what is near."""
+    wanted = problem.table[:: problem.nodes, : 2 * problem.robot.n + 10]
+    wanted = wanted[:: max(1, len(wanted) // TRAIL)]
+    run = run_of(problem, np.repeat(row, len(wanted), axis=0), wanted, np.linspace(0.0, 1.0, len(wanted)))
+    scene = scene_of(run)
+    return Picture(scene, None, None if scene.ground.there else focus(scene))
 
 
 class Browser:
@@ -167,7 +75,6 @@ class Browser:
     def show(self, i: int) -> None:
         """Bring the page up to date with environment `i`."""
         from closedloop.lab.curves import main_panel
-        from closedloop.lab.drawn import curves, frames, robot_message, run_message, space_message
         from closedloop.lab.history import hello
 
         problem, ensemble, time = self._core.ensemble.problem(i), self._core.ensemble, float(self._core.now.time[i])
@@ -207,19 +114,6 @@ def path_of(problem: Problem) -> Array:
     return path[:: max(1, len(path) // TRAIL)]
 
 
-def _surface(problem: Problem) -> tuple[Array, NDArray[np.uint32]]:
-    """Return the surface about the tip's start as vertices (k, 3) and triangles (l, 3), none if there is none.
-
-    Without a surface these are the bodies with flat faces that links touch.
-    """
-    start = problem.robot.position(problem.q)
-    if not problem.scenario.has_surface:
-        return solids_mesh(problem.scenario, start[None])
-    points = np.stack(patch(problem, start), axis=-1).reshape(-1, 3)
-    faces = grid_triangles(SQUARES + 1, SQUARES + 1)
-    return np.nan_to_num(points), faces[np.isfinite(points[faces]).all(axis=(1, 2))]
-
-
 def shown_forces(core: Core, i: int) -> tuple[list[str], Array]:
     """Return the names and forces (k,), N, that environment `i` shows: on the tip; without a surface on links."""
     scenario, now = core.ensemble.problem(i).scenario, core.now
@@ -230,4 +124,4 @@ def shown_forces(core: Core, i: int) -> tuple[list[str], Array]:
 
 def view_of(render_mode: str, core: Core) -> Any:
     """Return what shows the environments: `show(i)` and `close()`."""
-    return Picture(core) if render_mode == "rgb_array" else Browser(core)
+    return Pictures(core) if render_mode == "rgb_array" else Browser(core)

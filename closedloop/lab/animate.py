@@ -30,8 +30,8 @@ from closedloop.figures.style import widen
 from closedloop.lab.curves import Panel, main_panel, reduced
 from closedloop.record.run import Run
 
-# Inches, and dots for each: 1000 by 500 pixels; without curves 560 by 460.
-SIZE, ALONE, DOTS = (10.0, 5.0), (5.6, 4.6), 100
+# Inches, and dots for each: 1000 by 500 pixels; without curves 640 by 480.
+SIZE, ALONE, DOTS = (10.0, 5.0), (6.4, 4.8), 100
 # The axis of the curves shows at least this share of the largest value.
 FINEST = 0.02
 # Curves with a name at most.
@@ -46,9 +46,12 @@ FINE = 2
 
 
 class Picture:
-    """The figure of a film, whose parts move; without a panel of curves that of space alone, without title or clock."""
+    """The figure of a film, whose parts move; without a panel of curves that of space alone, without title or clock.
 
-    def __init__(self, scene: Scene, panel: Panel | None) -> None:
+    `view` is the middle (3,) and half the width, m, of what is seen; if left out all of it.
+    """
+
+    def __init__(self, scene: Scene, panel: Panel | None, view: tuple[Array, float] | None = None) -> None:
         self.scene, run = scene, scene.run
         self._figure = figure = Figure(figsize=SIZE if panel else ALONE, dpi=DOTS, layout="constrained")
         canvas: Any = FigureCanvasAgg  # its methods have no annotations
@@ -69,21 +72,24 @@ class Picture:
             self._space.plot_trisurf(*vertices.T, triangles=faces, color="0.8", alpha=0.4, linewidth=0.0)
         if scene.marks:
             self._space.scatter(*np.array([mark.position for mark in scene.marks]).T, color="#CC79A7", s=12)
-        self._frame_view()
+        self._frame_view(view)
         self._draw_legend()
-        self._moving, self._cursor = [self._done, *self._arrows.values()], None
+        self._clock, self._cursor = figure.text(0.985, 0.985, "", ha="right", va="top", family="monospace"), None
+        self._moving = [self._done, *self._arrows.values(), self._clock]
         if panel:
             self._cursor = self._draw_curves(figure.add_subplot(grid[1]), panel)
             figure.suptitle(self._title())
-            self._clock = figure.text(0.985, 0.965, "", ha="right", family="monospace")
-            self._moving += [self._cursor, self._clock]
+            self._moving.append(self._cursor)
         for part in self._moving:
             part.set_animated(True)  # left out of what is drawn once
         self._canvas.draw()
         self._still = self._canvas.copy_from_bbox(figure.bbox)
 
-    def pixels(self, row: int) -> NDArray[np.uint8]:
-        """Return the picture of a row of the run: red, green, blue and opacity of its pixels (height, width, 4)."""
+    def pixels(self, row: int, said: str = "") -> NDArray[np.uint8]:
+        """Return the picture of a row of the run: red, green, blue and opacity of its pixels (height, width, 4).
+
+        `said` stands in its corner; beside curves it is the time.
+        """
         scene, run, there = self.scene, self.scene.run, self.scene.joint_places(row)
         self._canvas.restore_region(self._still)
         self._done.set_data_3d(*run.position[: row + 1 : max(1, row // 300)].T)
@@ -93,7 +99,8 @@ class Picture:
             line.set_data_3d(*np.reshape(ends, (-1, 3)).T)
         if self._cursor:
             self._cursor.set_xdata([run.time[row]] * 2)
-            self._clock.set_text(f"t = {run.time[row]:.3f} s")
+            said = f"t = {run.time[row]:.3f} s"
+        self._clock.set_text(said)
         ghosts = [(solids, ghost.place(float(run.time[row]))) for ghost, solids in self._ghosts]
         seen = [self._solid.seen(self._space, *there)]
         seen += [solids.seen(self._space, turn[None], origin[None]) for solids, (turn, origin) in ghosts]
@@ -132,8 +139,8 @@ class Picture:
         plot.legend(handles[:MOST_NAMED], names[:MOST_NAMED], fontsize=8)
         return plot.axvline(0.0, color="0.3", linewidth=1)
 
-    def _frame_view(self) -> None:
-        """Give the axes one scale, and the size of all that is drawn in them."""
+    def _frame_view(self, view: tuple[Array, float] | None) -> None:
+        """Give the axes one scale, and the size of all that is drawn in them, or of a view."""
         scene, space = self.scene, self._space
         rows = np.unique(np.linspace(0, len(scene.run) - 1, 20).astype(int))
         places = [(float(scene.run.time[row]), *scene.joint_places(int(row))) for row in rows]
@@ -145,7 +152,7 @@ class Picture:
                 points.append(solids.points(turn[None], origin[None]))
         every = np.vstack(points)
         low, high = np.nanmin(every, axis=0), np.nanmax(every, axis=0)
-        middle, half = (low + high) / 2.0, 0.55 * float((high - low).max()) + 1e-3
+        middle, half = view or ((low + high) / 2.0, 0.55 * float((high - low).max()) + 1e-3)
         space.set(xlabel="x [m]", ylabel="y [m]", zlabel="z [m]")
         space.set(**{f"{axis}lim": (m - half, m + half) for axis, m in zip("xyz", middle, strict=True)})
         space.set_box_aspect((1, 1, 1))

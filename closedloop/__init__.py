@@ -92,8 +92,8 @@ if TYPE_CHECKING:
     from closedloop.scenario.scenario import Scenario as Scenario
     from closedloop.serve.serve import serve as serve
     from closedloop.simulation.batch.simulate_batch import simulate_batch as simulate_batch
-    from closedloop.simulation.engines.law_source import Law as Law
     from closedloop.simulation.engines.problem import Problem as Problem
+    from closedloop.simulation.engines.user_law import Law as Law
     from closedloop.simulation.prepare import prepare as prepare
     from closedloop.simulation.simulate import halve as halve
     from closedloop.simulation.simulate import simulate as simulate
@@ -136,7 +136,7 @@ _HOME = {
         "serve.serve": "serve",
         "simulation.batch.simulate_batch": "simulate_batch",
         "simulation.engines.problem": "Problem",
-        "simulation.engines.law_source": "Law",
+        "simulation.engines.user_law": "Law",
         "simulation.prepare": "prepare",
         "simulation.simulate": "halve simulate",
         "simulation.simulator": "Simulator",

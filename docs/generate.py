@@ -23,7 +23,7 @@ from closedloop.loop.events.table import EVENT_COLUMNS
 from closedloop.record.columns.derived import DERIVED
 from closedloop.record.columns.record import ALL_COLUMNS, ARM_COLUMNS, COLUMNS, CONTACT_COLUMNS
 from closedloop.record.report.verdict import names_of
-from closedloop.scenario import describe
+from closedloop.scenario import messages
 from closedloop.scenario.tables import table_type
 
 # What each public name is for, in the order of the page; a name that is in none of these is a fault.
@@ -84,16 +84,16 @@ def scenario() -> Iterator[str]:
     yield from ("# Scenario reference", "")
     yield "All sections and keys of a scenario file. The same texts are printed by `closedloop run --help SECTION` and"
     yield "`closedloop run --explain KEY`. A number beyond its bounds, and a key that is not listed here, is an error."
-    for section, text in describe.sections().items():
+    for section, text in messages.sections().items():
         head = f"[[{section}]]" if table_type(section) else f"[{section}]"
         yield from ("", f"## {head}", "", f"{sentence(text)}", "")
-        kinds = describe.kinds(section)
+        kinds = messages.kinds(section)
         if kinds:
             yield from table(("kind", ""), ((f"`{kind}`", told) for kind, told in kinds.items()))
             yield ""
         rows, shared = [], tuple(kinds)
-        for key in describe.keys(section):
-            facts = describe.facts(key)
+        for key in messages.keys(section):
+            facts = messages.facts(key)
             of = "" if key.kinds == shared else ", ".join(f"`{kind}`" for kind in key.kinds)
             value = "; ".join(part for part in (facts["value"], facts["bounds"]) if part)
             row = [f"`{key.name}`", facts["unit"], value, facts["default"], key.field.description or ""]
@@ -232,7 +232,7 @@ def directive(name: str) -> Iterator[str]:
     """Return the directive of a public name."""
     thing = getattr(closedloop, name)
     if name == "Law":  # a type: its text stands below it in its module
-        yield from (".. autodata:: closedloop.simulation.engines.law_source.Law", "   :no-value:")
+        yield from (".. autodata:: closedloop.simulation.engines.user_law.Law", "   :no-value:")
     elif name == "lab":  # a package that can be called, as this function
         yield ".. autofunction:: closedloop.lab.start.lab"
     elif isinstance(thing, ModuleType):

@@ -37,8 +37,8 @@ def all_commands() -> ArgumentParser:
     import shtab
 
     from closedloop.command.robots import names
-    from closedloop.scenario.describe import all_keys, choices, sections
     from closedloop.scenario.load import shipped_scenarios
+    from closedloop.scenario.messages import all_keys, choices, sections
     from closedloop.scenario.tables import table_type
 
     keys, robots = all_keys(), list(names())

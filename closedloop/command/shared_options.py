@@ -59,7 +59,7 @@ def scenario_parser(prog: str, rest: str, **settings: Any) -> Parser:
 
 def list_of_sections(names_only: bool = False) -> str:
     """Return how keys are given and explained, and the sections of a scenario, a line each or their names only."""
-    from closedloop.scenario.describe import sections
+    from closedloop.scenario.messages import sections
 
     if names_only:
         names = textwrap.fill(", ".join(sections()), 78, initial_indent="  ", subsequent_indent="  ")
@@ -88,7 +88,7 @@ class _Tell(argparse.Action):
 
 
 def _print_topic(option: str, word: str) -> None:
-    from closedloop.scenario.describe import explain_key
+    from closedloop.scenario.messages import explain_key
 
     try:
         print(explain_key(word.removeprefix("--")))

@@ -36,7 +36,6 @@ from closedloop.scenario.arm import has_stops
 from closedloop.scenario.scenario import Scenario
 from closedloop.simulation.engines.bind_contacts import entries_of_contacts
 from closedloop.simulation.engines.failures import failure_of, raised_by_member
-from closedloop.simulation.engines.law_source import Law, UserLaw
 from closedloop.simulation.engines.loops import COMPILED, PINOCCHIO, Pace, kernels_of, loop_for
 from closedloop.simulation.engines.problem import Problem
 from closedloop.simulation.engines.proceed import (
@@ -48,6 +47,7 @@ from closedloop.simulation.engines.proceed import (
     set_rows,
 )
 from closedloop.simulation.engines.scenario_numbers import calls_law, entries_of
+from closedloop.simulation.engines.user_law import Law, UserLaw
 from robot_models import RobotModel
 
 # What calls the loop so many times, each with new terms, as long as nothing else is requested.

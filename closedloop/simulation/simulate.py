@@ -35,9 +35,10 @@ from closedloop.scenario.arm import start_positions, without_tools
 from closedloop.scenario.scenario import Scenario
 from closedloop.simulation.cache import kept_cache
 from closedloop.simulation.engines.failures import interrupted, member_error
-from closedloop.simulation.engines.law_source import Law, arguments_of, fresh, law_digest
+from closedloop.simulation.engines.law_source import arguments_of, fresh, law_digest
 from closedloop.simulation.engines.loops import COMPILED, ENGINES, PINOCCHIO, loop_for
 from closedloop.simulation.engines.problem import Problem
+from closedloop.simulation.engines.user_law import Law
 from closedloop.simulation.loop_calls import Driver, drive
 from closedloop.simulation.prepare import borrowed, problem_of
 from robot_models import RobotModel
@@ -298,7 +299,7 @@ def check_engine(scenario: Scenario, engine: str, law: Law | None) -> None:
             f"use the engine 'pinocchio', or one of {', '.join(map(repr, INTEGRATORS))}"
         )
     if law is not None:
-        from closedloop.simulation.engines.law_source import compiled_law
+        from closedloop.simulation.engines.compiled_law import compiled_law
 
         compiled_law(law)
 

@@ -22,8 +22,9 @@ from closedloop.mechanics.integrators import ADAPTIVE, INTEGRATORS
 from closedloop.record.run import Run
 from closedloop.scenario.scenario import Scenario
 from closedloop.simulation.engines.failures import interrupted
-from closedloop.simulation.engines.law_source import Law, law_digest
+from closedloop.simulation.engines.law_source import law_digest
 from closedloop.simulation.engines.loops import PINOCCHIO
+from closedloop.simulation.engines.user_law import Law
 from closedloop.simulation.prepare import prepare
 from closedloop.simulation.simulate import as_run, check_engine, law_name
 from closedloop.simulation.state import StepState

@@ -22,8 +22,8 @@ from closedloop.loop.step.record_row import complete_record
 from closedloop.mechanics.closure.conditioning import BATCH
 from closedloop.mechanics.closure.contact_force import FREE
 from closedloop.mechanics.loops.reactions import lose_undriven, torque_of_drives
-from closedloop.simulation.engines.law_source import Law, UserLaw
 from closedloop.simulation.engines.problem import Problem
+from closedloop.simulation.engines.user_law import Law, UserLaw
 from closedloop.simulation.loop_calls import Driver, drive
 
 # A copy of the loop's memory: whole numbers, real ones before and behind the batch of rows that wait for their

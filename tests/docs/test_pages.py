@@ -114,7 +114,7 @@ def test_every_page_is_in_the_contents(generated):
 def test_the_reference_is_complete(generated):
     """Every key of a scenario, every column and every public name has an entry, and a name without one is refused."""
     from closedloop.record.columns.record import COLUMNS
-    from closedloop.scenario.describe import all_keys
+    from closedloop.scenario.messages import all_keys
 
     for key in all_keys():
         assert f"`{key}`" in generated["scenario"] or key.endswith(".kind"), key

@@ -8,7 +8,7 @@ from pages import PAGES, ROOT
 
 import closedloop
 from closedloop.command.table import COMMANDS
-from closedloop.scenario import describe
+from closedloop.scenario import messages
 
 STYLED = [*PAGES, ROOT / "CONTRIBUTING.md"]
 
@@ -103,9 +103,9 @@ def test_a_public_docstring_is_written_in_plain_sentences(name):
 
 def test_texts_of_keys_and_commands_are_written_in_plain_words():
     """What `--help` prints of every key of a scenario and of every command."""
-    for section, about in describe.sections().items():
+    for section, about in messages.sections().items():
         assert style.words_not_used(about) == [], section
-        for key in describe.keys(section):
+        for key in messages.keys(section):
             assert style.words_not_used(key.field.description or "") == [], key.name
     for command in COMMANDS:
         assert style.words_not_used(command.help) == [], command.name

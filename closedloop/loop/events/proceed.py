@@ -83,9 +83,8 @@ from closedloop.loop.step.energy_supplied import add_stage_work, commit_work, po
 from closedloop.loop.step.entries import lead_motors
 from closedloop.loop.step.evaluate import evaluate, evaluate_law
 from closedloop.loop.step.joint_friction import stick_or_slip_joints
-from closedloop.loop.step.locate import locate_tip, off_anchor
+from closedloop.loop.step.locate import back_to_true, locate_tip, off_anchor, read_joints
 from closedloop.loop.step.memory import RIGID_STICK, Constants, State, Work, ask_contacts, ask_loops
-from closedloop.loop.step.perceived import back_to_true, read_joints
 from closedloop.loop.step.record_row import record
 from closedloop.mechanics.closure.contact_force import FREE, PRESSED, STUCK, answer_impulse, apply_impulse, stuck_force
 from closedloop.mechanics.closure.solve import OK

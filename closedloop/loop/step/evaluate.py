@@ -21,9 +21,8 @@ from closedloop.loop.step.closed_loops import DRIVE, factorise_tip, power_of_fra
 from closedloop.loop.step.contacts import FRICTION_RATES
 from closedloop.loop.step.entries import START, TORQUE, desired_acceleration, motor_rates, reference_row, transmit
 from closedloop.loop.step.joint_friction import add_joint_friction, hold_joints, share_friction
-from closedloop.loop.step.locate import in_contact_frame, locate_tip
+from closedloop.loop.step.locate import in_contact_frame, keep_terms, locate_tip, perceive, sensor_feels
 from closedloop.loop.step.memory import RIGID_STICK, Constants, State, Work, ask_contacts, ask_loops
-from closedloop.loop.step.perceived import keep_terms, perceive, sensor_feels
 from closedloop.loop.step.solve_contact import contact_force
 from closedloop.loop.step.tip_friction import surface_friction
 from closedloop.mechanics.closure.contact_force import FREE

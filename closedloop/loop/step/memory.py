@@ -376,7 +376,7 @@ class Constants(Block, sizes=("n", "law", "compensation", "friction", "joint_fri
     capture_speed: float  # up to which sticking is tried, m/s
     lag: float  # by which friction is behind the slip, s
     reach: float  # of the arm, squared
-    mass_factor: float  # see `closedloop.loop.step.perceived`, as the next
+    mass_factor: float  # see `closedloop.loop.step.locate`, as the next
     unknown_payload: float  # kg
     tip: Annotated[Array, 3]  # in the frame of the joint that carries it
     gravity: Annotated[Array, 3]

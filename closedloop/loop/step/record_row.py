@@ -16,8 +16,8 @@ from closedloop.jit.simd8 import every, select
 from closedloop.loop.step.closed_loops import REACTION, missing_torque
 from closedloop.loop.step.contact_rows import asked
 from closedloop.loop.step.energy_supplied import applied_torque
+from closedloop.loop.step.locate import sensor_feels
 from closedloop.loop.step.memory import RIGID_STICK, Constants, K, N, State, Work, ask_loops, loop_at
-from closedloop.loop.step.perceived import sensor_feels
 from closedloop.mechanics.closure.conditioning import (
     BATCH,
     LONG_ARM,

@@ -39,8 +39,8 @@ from closedloop.simulation.batch.threads import Done, side_by_side
 from closedloop.simulation.batch.worker import Outcome, Worker, failed
 from closedloop.simulation.cache import Cache
 from closedloop.simulation.engines.lanes import FEWEST, uses_lanes
-from closedloop.simulation.engines.law_source import Law
 from closedloop.simulation.engines.loops import COMPILED
+from closedloop.simulation.engines.user_law import Law
 from closedloop.simulation.simulate import check_engine
 from robot_models import RobotModel
 

@@ -53,9 +53,10 @@ from closedloop.scenario.scenario import Scenario
 from closedloop.simulation.cache import Cache
 from closedloop.simulation.engines.compiled import compiled_tree, compiled_work
 from closedloop.simulation.engines.lanes import FEWEST, Kind, LaneRuns, kind_of, uses_lanes
-from closedloop.simulation.engines.law_source import Law, fresh
+from closedloop.simulation.engines.law_source import fresh
 from closedloop.simulation.engines.loops import COMPILED
 from closedloop.simulation.engines.problem import Problem
+from closedloop.simulation.engines.user_law import Law
 from closedloop.simulation.prepare import SECTION_BYTES, problem_of
 from closedloop.simulation.simulate import positions_told, run_loop
 from robot_models import RobotModel

@@ -25,9 +25,8 @@ from closedloop.loop.events.locate import MEASURED, PROJECTION, STEP_END
 from closedloop.loop.step.closed_loops import closed_loops
 from closedloop.loop.step.contacts import contacts_in_step
 from closedloop.loop.step.external import BEGIN, END, FELT, SHARE, external_forces
-from closedloop.loop.step.locate import BALL_TIP, BallTip, ball_tip
+from closedloop.loop.step.locate import BALL_TIP, BallTip, ball_tip, read_joints
 from closedloop.loop.step.memory import SPRING_STICK, Constants, Loop, State, Work, make_loop
-from closedloop.loop.step.perceived import read_joints
 from closedloop.loop.step.record_row import ContactRow
 from closedloop.mechanics.closure.contact_force import FREE, PRESSED
 from closedloop.mechanics.contacts.rolling import RADIUS, SHAPE, make_shape_memory

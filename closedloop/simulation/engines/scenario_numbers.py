@@ -24,8 +24,8 @@ from closedloop.control.sensor import MEASURED_VELOCITY, NO_ENCODER, PackedSenso
 from closedloop.jit.parameters import pack, pack_each_joint, per_joint, state_block
 from closedloop.loop.events.table import EVENT_COLUMNS
 from closedloop.loop.step.entries import friction_entry, joint_friction_entry, law_entry
+from closedloop.loop.step.locate import MOTORS_MEASURED
 from closedloop.loop.step.memory import ELASTIC_STICK, RIGID_STICK, SMOOTH, SPRING_STICK
-from closedloop.loop.step.perceived import MOTORS_MEASURED
 from closedloop.loop.step.record_row import CONTACT_RECORDED, RECORDED, ArmRow, ContactRow, Row, row_width
 from closedloop.loop.step.solve_contact import compliance_entry
 from closedloop.mechanics.friction.law import FrictionLaw, JointFriction

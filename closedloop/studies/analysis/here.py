@@ -25,8 +25,8 @@ from closedloop.jit.interpreted import interpreted
 from closedloop.loop.events.locate import MEASURED, STEP_END
 from closedloop.loop.events.table import KINDS
 from closedloop.loop.events.transitions import collide
+from closedloop.loop.step.locate import sensor_feels
 from closedloop.loop.step.memory import Loop
-from closedloop.loop.step.perceived import sensor_feels
 from closedloop.loop.step.record_row import Row, complete_record
 from closedloop.mechanics.closure.contact_force import FREE, STUCK
 from closedloop.mechanics.contacts.memory import ContactMemory

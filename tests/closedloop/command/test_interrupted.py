@@ -19,7 +19,7 @@ from closedloop.loop.step import entries
 from closedloop.record.columns.record import COLUMNS
 from closedloop.simulation import loop_calls, simulate
 from closedloop.simulation.engines import loops
-from closedloop.simulation.engines.law_source import UserLaw
+from closedloop.simulation.engines.user_law import UserLaw
 from closedloop.simulation.prepare import prepare
 
 INTEGRATORS = ("semi_implicit_euler", "rk4", "dop853")

@@ -8,8 +8,8 @@ from rounding import within
 
 import closedloop as cl
 from closedloop.control.reference.desired import Desired, desired
-from closedloop.scenario.describe import keys
 from closedloop.scenario.load import parse_scenario
+from closedloop.scenario.messages import keys
 
 CIRCLE = {"kind": "circle", "direction": [0, 1, 0], "radius": 0.03, "start": 0.2, "stop": 2.0}
 EIGHT = {"kind": "figure_eight", "direction": [0, 1, 0], "width": 0.06, "height": 0.03, "start": 0.2, "stop": 2.0}

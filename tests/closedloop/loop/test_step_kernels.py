@@ -10,8 +10,15 @@ from closedloop.jit.interpreted import interpreted
 from closedloop.loop.step.closed_loops import BIND_LOAD, REACTION, closed_loops, factorise_tip
 from closedloop.loop.step.energy_supplied import add_stage_work, commit_work, save_power
 from closedloop.loop.step.joint_friction import _delayed, add_joint_friction, hold_joints, stick_or_slip_joints
-from closedloop.loop.step.locate import locate_tip, off_anchor, set_anchor
-from closedloop.loop.step.perceived import MOTORS_MEASURED, apply_model_error, perceive, read_joints
+from closedloop.loop.step.locate import (
+    MOTORS_MEASURED,
+    apply_model_error,
+    locate_tip,
+    off_anchor,
+    perceive,
+    read_joints,
+    set_anchor,
+)
 from closedloop.loop.step.solve_contact import soft_contact_force, spring_energy
 from closedloop.mechanics.closure.contact_force import FREE, PRESSED, STUCK
 from closedloop.mechanics.loops.rows import locate_rows

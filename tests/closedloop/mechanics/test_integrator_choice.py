@@ -7,8 +7,8 @@ from budget import budget
 import closedloop as cl
 from closedloop.mechanics.integrators import ADAPTIVE, INTEGRATORS
 from closedloop.record.report import notes
-from closedloop.scenario.describe import explain_key
 from closedloop.scenario.load import parse_scenario, shipped_scenarios
+from closedloop.scenario.messages import explain_key
 
 DAHL = '[friction]\nkind = "dahl"\ncoefficient = 0.2\nstiffness = 1e4'
 WITH_IMPACTS = ("wam_bounce", "planar2_drop", "wam_touchdown", "panda_touchdown", "wam_edge", "wam_liftoff")

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 import closedloop as cl
 from closedloop.base.sections import ANGLE, PLACE
 from closedloop.loop.step.record_row import Row
-from closedloop.scenario.describe import all_keys, describe_section, explain_key, keys, sections
 from closedloop.scenario.load import Variants, parse_scenario
+from closedloop.scenario.messages import all_keys, describe_section, explain_key, keys, sections
 from closedloop.simulation.time_step import MOST_NUMBERS
 from robot_models.shipped import path_of
 

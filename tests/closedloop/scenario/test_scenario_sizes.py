@@ -11,8 +11,7 @@ from closedloop.base.errors import LONGEST_LINE, one_line
 from closedloop.base.sections import Section, Size, field_units, is_left_out, sizes
 from closedloop.control.sensor import MOST_QUANTA, SensorSection, pack_sensor, sense
 from closedloop.jit.interpreted import interpreted
-from closedloop.scenario.describe import explain_key
-from closedloop.scenario.messages import variants
+from closedloop.scenario.messages import explain_key, variants
 from closedloop.scenario.scenario import Scenario
 
 # Numbers of any size: instants beyond the end of a run, and what has a bound or a check of its own.

@@ -5,7 +5,7 @@ import pytest
 import closedloop as cl
 from closedloop.command.sweep import main as sweep
 from closedloop.scenario import messages
-from closedloop.scenario.describe import all_keys, explain_key, sections
+from closedloop.scenario.messages import all_keys, explain_key, sections
 from closedloop.scenario.scenario import Scenario
 from closedloop.scenario.tables import described_key
 

@@ -6,8 +6,7 @@ import pytest
 import closedloop as cl
 from closedloop.command.sweep import main as sweep
 from closedloop.mechanics.contacts.sections import ContactSection
-from closedloop.scenario.describe import describe_section, explain_key
-from closedloop.scenario.messages import key_description, key_unit
+from closedloop.scenario.messages import describe_section, explain_key, key_description, key_unit
 
 NAME = "gripper_gear"
 

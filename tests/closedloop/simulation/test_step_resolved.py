@@ -5,7 +5,7 @@ import pytest
 
 import closedloop as cl
 import robot_models
-from closedloop.command.job import warn_of_gains
+from closedloop.run import warn_of_gains
 from closedloop.scenario.modes import unresolved, unresolved_feedback, wrong_by
 
 ELASTIC = {"transmission.stiffness": 7e4, "transmission.damping": 3.8, "transmission.motor_inertia": 0.05}

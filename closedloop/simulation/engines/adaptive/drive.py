@@ -46,8 +46,8 @@ from closedloop.mechanics.limits import BREAKING_AWAY, CLOSED_GAP, INSTANT, OUTP
 from closedloop.simulation.engines.adaptive.memory import Memory, Stopped
 from closedloop.simulation.engines.adaptive.smooth import Interval, first_crossing, interval_from, jumps
 from closedloop.simulation.engines.failures import failure_of, interrupted, when
-from closedloop.simulation.engines.law_source import Law
 from closedloop.simulation.engines.problem import Problem
+from closedloop.simulation.engines.user_law import Law
 
 stops_slip: Any = interpreted(stops_slipping)
 Rate = Callable[[float, Array], Array]

@@ -28,8 +28,8 @@ from closedloop.mechanics.closure.contact_force import FREE, PRESSED
 from closedloop.mechanics.closure.solve import LAW_FAILED, OK
 from closedloop.simulation.engines.adaptive.smooth import Interval
 from closedloop.simulation.engines.failures import raised_by_member
-from closedloop.simulation.engines.law_source import Law
 from closedloop.simulation.engines.problem import Problem
+from closedloop.simulation.engines.user_law import Law
 from closedloop.simulation.loop_calls import Driver, drive
 
 # Within this share of a row before the instant from which the PD part of the paper's law acts, the law's time stays at

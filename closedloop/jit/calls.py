@@ -1,15 +1,11 @@
-"""Addresses: of functions, of arrays and of their parts.
-
-Arrays by address, and parts of arrays: at each step one number is passed from Python to compiled code.
+"""Addresses of functions, of arrays and of their parts: at each step one number is passed to compiled code.
 
 Each array passed costs some 60 ns, fourteen of them as much as the step. None of them moves during a run, so their
 addresses are stored once, in a block of whole numbers, and compiled code makes array views from them.
 
-Functions called by address: how the loop, compiled once, calls the plug-ins that a scenario chooses.
-
-A plug-in is compiled separately, into an entry with two integer arguments: the address of the loop's memory
-(`closedloop.loop.step.memory.loop_at`), and which of its functions to call. The loop reads the entry's address from its
-memory and calls it, at some 2 ns over an inlined call, and is not compiled again for another plug-in.
+A plug-in that a scenario chooses is compiled separately, into an entry with two integer arguments: the address of the
+loop's memory (`closedloop.loop.step.memory.loop_at`), and which of its functions to call. The loop reads the entry's
+address from its memory and calls it, at some 2 ns over an inlined call, and is not compiled again for another plug-in.
 
 In interpreted code an address is a negative number under which the Python function is registered, or machine code's.
 """

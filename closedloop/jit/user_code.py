@@ -1,9 +1,4 @@
-"""A user's code in kernels: where it failed, a digest of it, and what numba says of it.
-
-What numba says of a user's function that it cannot compile, in one line: place, what is wrong, what is right.
-
-Users' code: the line at which it failed, and a digest of its text.
-"""
+"""A user's code in kernels: the line at which it failed, a digest of its text, and in one line what numba says of it."""
 
 import difflib
 import hashlib

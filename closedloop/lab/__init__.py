@@ -1,8 +1,7 @@
 """The lab: the whole experiment answers while a gain is dragged (`closedloop lab`, or ``cl.lab("wam_slide")``).
 
-What is drawn is data (`curves`, `drawn`, `strip`), what can be moved follows from the scenario's schema (`controls`,
-`groups`). The page is in `web`: with a server it is the lab (`app`), with data inside it is what `Run.show` opens and
-`share` writes.
+What is drawn is data (`curves`, `drawn`), what can be moved follows from the scenario's schema (`controls`). The page
+is in `web`: with a server it is the lab (`app`), with data inside it is what `Run.show` opens and `share` writes.
 
 The package can be called, since ``closedloop.lab`` is its name as a module and as a function.
 """

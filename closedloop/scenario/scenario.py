@@ -1,8 +1,6 @@
 """A scenario: everything that determines a run, typed, frozen and validated; `to_toml` writes it as TOML.
 
 A scenario is data: it can name a robot and numbers, never code. `closedloop.scenario.load` reads one.
-
-The robot of a scenario: [robot], its [tool], free [[body]], [[external_force]], [belief] and [model_error].
 """
 
 import math

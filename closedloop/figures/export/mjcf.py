@@ -6,8 +6,8 @@ is from the plane, in every posture. Nothing but these pairs touches.
 
 The bodies are those of the dynamics: a link with a joint each, what is fixed to it included, in the frames in which the
 run computes, with the drives' inertia as `armature`. The shapes carry no mass and touch nothing; the surface can be
-touched, and the links where the scenario has contacts of them; loops are closed by equalities (`mjcf_joined`). There
-are a motor for each joint with a drive, a site `tip`, and keyframes of the run's first and last row.
+touched, and the links where the scenario has contacts of them; loops are closed by equalities. There are a motor for
+each joint with a drive, a site `tip`, and keyframes of the run's first and last row.
 
 The law, the closure and friction are no part of it: contact in MuJoCo is soft, and its force differs.
 """

@@ -1,14 +1,8 @@
 """The inside of numba that all kernels need: blocks, arrays by their address, calls by address.
 
-Blocks in compiled code: an address and sizes, of which the parts are made where they are asked for.
-
-See `closedloop.jit.blocks`. This is imported when the first kernel is compiled or read from the cache.
-
-Arrays by their address, and parts of arrays, in compiled code; see `closedloop.jit.calls`.
-
-Kernels count no references, so a compiled function cannot return a view: numba writes these where they are called.
-
-Calls by address in compiled code; see `closedloop.jit.calls`.
+A block (`closedloop.jit.blocks`) is an address and sizes, of which the parts are made where they are asked for. Kernels
+count no references, so a compiled function cannot return a view: numba writes arrays (`closedloop.jit.calls`) where
+they are called. This is imported when the first kernel is compiled or read from the cache.
 """
 
 from collections.abc import Callable

@@ -1,6 +1,4 @@
-"""Vectors of eight numbers in compiled code.
-
-Numbers of eight lanes in compiled code: what `float64x8` and `dual8` share.
+"""Numbers of eight lanes in compiled code: what `float64x8` and `dual8` share.
 
 Both are a register of eight float64. They differ in what each operation does with the lanes: each lane for itself
 (`float64x8`, see `closedloop.jit.simd8`), or lane 0 the value and the others its derivatives

@@ -1,4 +1,4 @@
-"""One step of the state by a fixed-step scheme, on the manifold of ball joints, with the decay of states of friction.
+"""One step of the state by any fixed-step scheme, on the manifold of ball joints, with the decay of states of friction.
 
 States of friction that decay by themselves, ż = g − a z: a step takes the decay exactly, however fast it is.
 
@@ -11,12 +11,8 @@ It is a commutator-free scheme of the group of such maps. All other states move 
 of the scheme holds for all together (E. Celledoni, A. Marthinsen, B. Owren, Future Generation Computer Systems 19,
 2003). With s = 0 it is the Runge-Kutta scheme.
 
-One kernel that advances the state by any fixed-step scheme of `closedloop.mechanics.integrators`.
-
-Steps of ball joints on their manifold, the rotations: a rotation vector is not advanced by adding to it.
-
-A link that turns by θ in all, and then by u in its own axes, has turned by θ ∘ u = log(exp θ exp u). From the beginning
-of a step, with the angular velocity ω in the link's axes,
+A rotation vector is not advanced by adding to it. A link that turns by θ in all, and then by u in its own axes, has
+turned by θ ∘ u = log(exp θ exp u). From the beginning of a step, with the angular velocity ω in the link's axes,
 
     u̇ = dexp⁻¹(u, ω) = ω + u × ω/2 + c u × (u × ω),    c = 1/u² - (1 + cos u)/(2 u sin u) with u = |u|
 

@@ -8,12 +8,11 @@ what they leave free (`closedloop.mechanics.loops.solve`), the motion of the clo
 So with P X for X and P y + y_b for y, Eq. 24, friction, impact and the mobility S = X P Xᵀ of the tip are those of a
 tree. The loops take what they bind, whatever acts.
 
-Passing a pose in which the rows of the loops lose rank: a change point, where the mechanism lies flat.
-
-Where a row is outside the span of the others by a share s only, what it requires of the acceleration is its drift
-divided by s. On the mechanism's way both go to zero together, and the quotient has a limit; but an error e of the loops
-changes it by |q̇|² e/s³: with e of rounding, 1e-15 m, by 1e-5 rad/s² at s = 1e-3 and by 1e4 rad/s² at s = 1e-6. So near
-such a pose the quotient is interpolated between states on both sides of it, closed to rounding, along the velocity.
+A mechanism may pass a pose in which the rows of the loops lose rank, as where it lies flat. Where a row is outside the
+span of the others by a share s only, what it requires of the acceleration is its drift divided by s. On the mechanism's
+way both go to zero together, and the quotient has a limit; but an error e of the loops changes it by |q̇|² e/s³: with e
+of rounding, 1e-15 m, by 1e-5 rad/s² at s = 1e-3 and by 1e4 rad/s² at s = 1e-6. So near such a pose the quotient is
+interpolated between states on both sides of it, closed to rounding, along the velocity.
 """
 
 import math
@@ -140,15 +139,13 @@ def factorise_tip(H: Array, w: Work, constants: Constants, state: State) -> int:
 def closed_loops(address: int, what: int) -> int:
     """Answer for the loops, by the address of their memory; return a status of `closedloop.mechanics.closure.solve`.
 
-    BIND_TIP        project X, write S of it, and add to the tip's drift what the loops require of it
-    BIND_LOAD       replace y = L⁻¹(Q − C) by P y + y_b
-    BIND_ANSWER     replace `column`, L⁻¹ of a torque, by P of it
-    DRIVE           replace the torque by one of the drives alone, see `closedloop.mechanics.loops.reactions`
-    CLOSE           move q and q̇ to the nearest state that the loops allow; LOOPS_OPEN where a frame that moves has left
-                    none
-    REACTION        replace `column`, H q̈ + C − Q − AᵀF, by the part of it that the loops can give, and take from the
-                    tip's drift what BIND_TIP has added
-    BIND_PERCEIVED       do BIND_TIP for the X, S and drift that the law sees, with the H that it believes in
+    BIND_TIP        project X, write S of it, and add to the tip's drift what the loops require of it BIND_LOAD
+    replace y = L⁻¹(Q − C) by P y + y_b BIND_ANSWER     replace `column`, L⁻¹ of a torque, by P of it DRIVE
+    replace the torque by one of the drives alone, see `closedloop.mechanics.loops.reactions` CLOSE           move q and
+    q̇ to the nearest state that the loops allow; LOOPS_OPEN where a frame that moves has left none REACTION
+    replace `column`, H q̈ + C − Q − AᵀF, by the part of it that the loops can give, and take from the tip's drift what
+    BIND_TIP has added BIND_PERCEIVED       do BIND_TIP for the X, S and drift that the law sees, with the H that it
+    believes in
     """
     links, rows = loops_at(address)
     _, _, w = loop_at(links.loop)
@@ -242,8 +239,8 @@ def power_of_frames(H: Array, C: Array, w: Work, state: State) -> None:
 def impulse_of_frames(w: Work, X: Array, F: Array, velocity: Array, carried: Array) -> float:
     """Return the work, J, of frames that move the mechanism in an impact with impulses F (m,), N s.
 
-    The impulses find the free part of Lᵀq̇ alone. What a point has beside X Lᵀq̇, X = P X, of its velocity, `velocity` to
-    its surface and `carried` of that, it has by the frames, and their loops take the impulse there.
+    The impulses find the free part of Lᵀq̇ alone. What a point has beside X Lᵀq̇, X = P X, of its velocity, `velocity`
+    to its surface and `carried` of that, it has by the frames, and their loops take the impulse there.
     """
     n, work = w.v.shape[0], 0.0
     for j in range(n):

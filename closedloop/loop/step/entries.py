@@ -1,10 +1,8 @@
-"""The entries of plug-ins, and what is desired at an instant.
+"""The entries of plug-ins, and what is desired at an instant, from the table that the reference is prepared as.
 
-What is desired at an instant, from the table that the reference is prepared as.
+Angles and rates of motors behind elastic joints are the last of z, see `closedloop.control.drives`.
 
-The motors behind elastic joints: their angles and rates are the last of z, see `closedloop.control.drives`.
-
-Entries: the functions by which the loop calls the plug-ins of a scenario, compiled separately, all of one signature.
+Entries are the functions by which the loop calls the plug-ins of a scenario, compiled separately, all of one signature.
 
     call_at(state.law.entry, address, TORQUE)        see `closedloop.jit.calls`
 

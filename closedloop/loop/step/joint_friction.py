@@ -6,11 +6,10 @@ torque within its bounds that brings the joint's velocity nearest to zero at the
 is solved for all joints together with the contact force, by projected Gauss-Seidel on what Eq. 24 makes of a torque in
 each joint (Moreau's time stepping). Friction then never adds energy, and no joint chatters about rest.
 
-How tip and joints share what holds an arm at rest: rigid bodies do not determine it; least friction is given.
-
-While all joints rest within their friction, a force δF more at the tip and a torque −Aᵀ δF more in the joints hold the
-arm as before: the contact force is not determined by rigid bodies. Of all F and joint torques d that hold it, with d
-within its limits and a tip that sticks within its cone, the ones are taken whose friction has the least norm,
+How tip and joints share what holds an arm at rest rigid bodies do not determine; least friction is given. While all
+joints rest within their friction, a force δF more at the tip and a torque −Aᵀ δF more in the joints hold the arm as
+before: the contact force is not determined by rigid bodies. Of all F and joint torques d that hold it, with d within
+its limits and a tip that sticks within its cone, the ones are taken whose friction has the least norm,
 
     |F_t|² + |d|²        N and N m (N) alike, as for reactions of loops that are not unique
 

@@ -2,8 +2,6 @@
 
 Each is a `Block`, one array whose parts have names: passing an array from Python to compiled code costs about 60 ns,
 so all memory of the loop is passed as three.
-
-The loop's memory, made in Python.
 """
 
 from typing import Annotated, Any, NamedTuple

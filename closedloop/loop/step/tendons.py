@@ -1,9 +1,4 @@
-"""Dry friction of joints and tendons, and the rows of both.
-
-Joints, and the tendons with dry friction or stops, in one row: joint r for r < n, then tendon r − n.
-
-The largest torques of dry friction in the joints, and forces of that in tendons.
-"""
+"""Dry friction of joints and tendons, and the rows of both: joint r for r < n, then tendon r − n."""
 
 from closedloop.base.arrays import Array
 from closedloop.jit.calls import call_at

@@ -1,6 +1,4 @@
-"""Eq. 24, the one linear solve of a step, and how well a solution meets it.
-
-Eq. 24, the one linear solve of a step: acceleration and contact force together.
+"""Eq. 24, the one linear solve of a step, acceleration and contact force together; and how well a solution meets it.
 
     [ H   Aᵀ ] [ q̈ ]   [ Q − C ]
     [ A   0  ] [ −f ] = [  b_s  ]        A = nᵀJᵣ for the plane, m >= 1 rows in general

@@ -1,8 +1,4 @@
-"""What every law of friction is, with the parameters it has.
-
-The types of the parameters of friction, of a surface and of joints: units, sizes and signs.
-
-What every law of friction is: a section of the scenario, its states, how it sticks, and its functions.
+"""What every law of friction is: a section of the scenario, its states, how it sticks, its functions and parameters.
 
     F_t = −f c − w        friction of the surface on the tip, N, along d = 2 tangents; c (d,) without unit, w (d,) in N
     τ   = −c − w          friction of one joint, N m: d = 1 and f = 1
@@ -24,8 +20,6 @@ typed fields. Those that ship are in `closedloop.mechanics.friction.laws`, one f
 
 The functions are compiled: they take arrays and numbers, call functions of numpy, math and numba's own, and write into
 the arrays that they are given.
-
-The parameters of a section of friction, by name: of the surface, or of each joint.
 """
 
 import math

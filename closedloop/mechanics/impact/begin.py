@@ -1,19 +1,13 @@
-"""The pieces of an impact: which comes next, and what holds a tip that does not slip.
+"""The pieces of an impact: which comes next, along one direction of friction, turning, or from rest.
 
-The names of an impact: the ratios of restitution, and what can happen, as bits.
+Friction holds a tip that does not slip, or the tip leaves in one direction. A tangential impulse t per unit of normal
+impulse, |t| <= μ, changes the slip velocity by S_tn + S_tt t. The tip sticks if some t makes that zero. Else it starts
+to slide along the one unit direction s whose own friction t = −μ s drives it on: S_tn − μ S_tt s = k s, k > 0. Both are
+one statement: t minimises (1, t)·S (1, t) over the disk |t| <= μ. That is a convex problem, so there is no second
+direction (found case by case by Bhatt & Koechling, J. Appl. Mech. 62, 1995).
 
-What friction does to a tip that does not slip: it holds the tip, or the tip leaves in one direction.
-
-A tangential impulse t per unit of normal impulse, |t| <= μ, changes the slip velocity by S_tn + S_tt t. The tip sticks
-if some t makes that zero. Else it starts to slide along the one unit direction s whose own friction t = −μ s drives it
-on: S_tn − μ S_tt s = k s, k > 0. Both are one statement: t minimises (1, t)·S (1, t) over the disk |t| <= μ. That is a
-convex problem, so there is no second direction (found case by case by Bhatt & Koechling, J. Appl. Mech. 62, 1995).
-
-Which piece of an impact comes next: along one direction of friction, turning, or from rest.
-
-One piece of an impact: every quantity as a polynomial of one parameter.
-
-During slip the tangential impulse grows against the slip velocity w = (u_t1, u_t2), dP_t = −μ w/|w| dP_n, so
+In a piece every quantity is a polynomial of one parameter. During slip the tangential impulse grows against the slip
+velocity w = (u_t1, u_t2), dP_t = −μ w/|w| dP_n, so
 
     du_t/dP_n = S_tn − μ S_tt w/|w|        du_n/dP_n = S_nn − μ S_nt·w/|w|        (Routh; Keller 1986)
 

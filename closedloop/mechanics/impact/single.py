@@ -1,6 +1,5 @@
-"""One impact for reading: a law of restitution, and both phases.
-
-What every law of restitution is: of what the coefficient is the ratio, and how large it is at this impact.
+"""One impact: both phases, and a law of restitution. It says of what the coefficient is the ratio, and how large it is
+at this impact.
 
     class Viscous(Restitution):
         ratio_of = "energies"

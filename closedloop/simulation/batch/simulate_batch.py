@@ -6,10 +6,9 @@
 Each thread has a `Worker` and takes the next block of runs when it has finished one. The compiled engine releases the
 interpreter's lock while it steps, so threads run in parallel and share memory.
 
-The table of a batch: a row for each run, with the changed keys, the outcome, and the values of its summary.
-
-It is Arrow's, because Parquet files, pandas, polars and DuckDB all take that as it is, units travel with the columns,
-and a value that does not exist is empty, not NaN.
+The table has a row for each run, with the changed keys, the outcome, and the values of its summary. It is Arrow's,
+because Parquet files, pandas, polars and DuckDB all take that as it is, units travel with the columns, and a value that
+does not exist is empty, not NaN.
 """
 
 from __future__ import annotations

@@ -1,16 +1,12 @@
-"""The compiled engine, and its entries by address.
-
-The compiled engine: the same loop with terms of our own instead of Pinocchio's.
+"""The compiled engine: the same loop with terms of our own instead of Pinocchio's.
 
 `closedloop.loop.events.proceed` requests terms and does everything else; here the terms come from
 `closedloop.mechanics.robot.tree`. So the two engines differ only in the source of H, C, Jᵣ, r and J̇ᵣq̇. The loop runs
 without the interpreter and its lock, so the runs of a batch are parallel in threads.
 
-Entries of the compiled engine that take all their arrays by address: for numbers other than floats.
-
-Python has no arrays of dual numbers (`closedloop.jit.dual8`), only their memory. Of these entries only the form of
-dual numbers is compiled. The arrays are those of the entries that they stand for: `closedloop.simulation.engines.
-compiled.run_compiled` and `closedloop.record.report.measured.measure_rows`.
+Python has no arrays of dual numbers (`closedloop.jit.dual8`), only their memory, so entries for them take all arrays by
+address. Of these entries only the form of dual numbers is compiled. The arrays are those of the entries that they stand
+for: `closedloop.simulation.engines. compiled.run_compiled` and `closedloop.record.report.measured.measure_rows`.
 """
 
 import numpy as np

@@ -1,11 +1,7 @@
-"""The engines, and how many evaluations they do at once.
-
-The two engines, and the loop of each.
+"""The two engines, the loop of each, and how many evaluations it does before Ctrl-C can have its effect in Python.
 
 A loop takes any number of joints and any laws, and is compiled once for an installation. In a batch, runs of the
 paper's law on a smooth surface go eight at a time in SIMD lanes instead (`closedloop.simulation.engines.lanes`).
-
-How many evaluations a loop does before it returns to Python, where Ctrl-C has its effect.
 """
 
 import time as clock

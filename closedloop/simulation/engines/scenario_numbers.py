@@ -1,10 +1,6 @@
-"""A scenario's numbers, laws as numbers, and what it needs of the loop.
+"""A scenario's numbers, its laws as numbers, and what it needs of the loop.
 
-Laws as numbers: what the loop and the entries of plug-ins read of their parameters.
-
-What a scenario needs of the loop: a law at its address, columns of the record, readings of encoders.
-
-The numbers of a scenario, and what follows from them directly.
+That is a law at its address, columns of the record, readings of encoders.
 """
 
 from collections.abc import Sequence

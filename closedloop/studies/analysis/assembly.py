@@ -1,6 +1,6 @@
 """The force loop as a linear system, put together from what is reduced to free coordinates, and one step of it.
 
-One step of a linear system by each integrator has its inputs constant over the step but for its beginning.
+One step by each integrator has its inputs constant over the step but for its beginning.
 
     ẋ = A x + B₀ u  at the beginning,  A x + B u  within the step:    x⁺ = Φ x + Γ u
 

@@ -4,11 +4,9 @@ The library's sine takes one angle at a time. This one takes four, without a bra
 less its nearest multiple of π/2, which is subtracted in three parts (W. J. Cody and W. Waite, Software Manual for the
 Elementary Functions, 1980), then the polynomials for |x| <= π/4 of fdlibm (Sun Microsystems 1993, k_sin.c, k_cos.c).
 
-Positions, velocities and accelerations of the links, from the base to the tips, and the motion of the tip.
-
-A link's frame follows from its parent's by a rotation about z that makes the first axis perpendicular to both joint
-axes (mostly the identity), a twist about that axis, and the joint's own angle. With q̈ = 0 and the base accelerating
-upwards instead of gravity, and with d from the parent's origin to the joint's,
+From the base to the tips, a link's frame follows from its parent's by a rotation about z that makes the first axis
+perpendicular to both joint axes (mostly the identity), a twist about that axis, and the joint's own angle. With q̈ = 0
+and the base accelerating upwards instead of gravity, and with d from the parent's origin to the joint's,
 
     ω = ω_p + z q̇        α = α_p + ω_p × z q̇        b = b_p + α_p × d + ω_p × (ω_p × d + 2 z ḋ)
 

@@ -1,8 +1,7 @@
-"""A run by scipy's DOP853, and slow slip in it.
+"""Intervals, steps, events and rows of a run by scipy's DOP853, and slow slip in it.
 
-Slow slip: dry friction makes the equation of motion stiff.
-
-Dry friction μ|f| against a slip u turns the direction of u at the rate
+In slow slip dry friction makes the equation of motion stiff. Dry friction μ|f| against a slip u turns the direction of
+u at the rate
 
     λ = μ|f| (S_11 + S_22)/|u|
 
@@ -20,8 +19,6 @@ rounding. The solution is smooth: the direction follows the applied force. So
 
 A tip that is braked to rest has a large λ too, but briefly: the speed falls as fast as λ grows, and the explicit scheme
 needs a step or two for each halving of it.
-
-Intervals, steps, events and rows of a run by scipy's DOP853.
 """
 
 import math

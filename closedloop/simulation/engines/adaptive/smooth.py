@@ -1,7 +1,5 @@
 """The instants of an adaptive run: where an event is, and the reference between its discontinuities.
 
-The first instant at which an event function falls below zero within a step.
-
 An integrator of high order must not step over a discontinuity, and needs the reference at any instant. So the run is
 divided where the reference, its derivatives or the law are discontinuous. On each interval the desired motion and force
 are interpolated at Chebyshev nodes inside it: at the end of an interval they have the left limit, at its beginning the

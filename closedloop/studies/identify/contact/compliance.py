@@ -1,6 +1,5 @@
-"""A surface that gives, and friction on it, from a log.
-
-A surface that gives: stiffness, damping, where it is without a force, and how late the force is read.
+"""A surface that gives, and friction on it, from a log. Of the surface stiffness, damping, where it is without a force,
+and how late the force is read.
 
     f(t + τ) = k (d − n·r(t)) − c n·ṙ(t)
 

@@ -1,4 +1,4 @@
-"""A user's code in kernels: the line at which it failed, a digest of its text, and in one line what numba says of it."""
+"""A user's code in kernels: the line at which it failed, a digest of its text, and in a line what numba says of it."""
 
 import difflib
 import hashlib

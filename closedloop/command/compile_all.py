@@ -76,7 +76,7 @@ def _kernels() -> tuple[Piece, ...]:
         Piece("gradients_on_surface", "the gradient along a path", lambda: _path("gradients_on_surface")),
         Piece("potential_energies", "potential energy of a record", _energies),
         _entry("loop.step.closed_loops", "closed_loops", "loops"),
-        _entry("mechanics.loops.assemble", "along_path", "loops along a path"),
+        _entry("mechanics.loops.solve", "along_path", "loops along a path"),
         Piece("closed_to", "a closed start", lambda: _loops("closed_to")),
         Piece("rows_along", "loops of a record", lambda: _loops("rows_along")),
         _entry("loop.step.contacts", "contacts_in_step", "contacts of the links"),
@@ -115,8 +115,8 @@ def _loops(kernel: str) -> None:
     """Compile one of the kernels of mechanisms with loops."""
     import robot_models
     from closedloop.figures.scene.solids import compile_rows
-    from closedloop.mechanics.loops.assemble import closed_to
     from closedloop.mechanics.loops.bind import loop_memory
+    from closedloop.mechanics.loops.solve import closed_to
     from closedloop.mechanics.robot.pinocchio import Robot
 
     robot = Robot(robot_models.load("five_bar"))

@@ -27,8 +27,8 @@ from closedloop.loop.step.contacts import contacts_in_step
 from closedloop.loop.step.memory import Loop
 from closedloop.loop.step.record_row import complete_record
 from closedloop.mechanics.closure.solve import LAW_FAILED
-from closedloop.mechanics.loops.assemble import along_path, closed_to
 from closedloop.mechanics.loops.reactions import rows_along
+from closedloop.mechanics.loops.solve import along_path, closed_to
 from closedloop.mechanics.robot.tree import Tree, potential_energies
 from closedloop.mechanics.surface.contact import normals_on_surface, put_on_surface
 from closedloop.mechanics.surface.placed import PlacedSurface

@@ -33,8 +33,8 @@ from closedloop.control.reference.path import (
 from closedloop.control.reference.table import Reference
 from closedloop.control.reference.tip_path import Segment, TipPath
 from closedloop.jit.interim import call_once
-from closedloop.mechanics.loops.assemble import along_path
 from closedloop.mechanics.loops.bind import loop_memory
+from closedloop.mechanics.loops.solve import along_path
 from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.mechanics.surface.placed import PlacedSurface
 from robot_models.model import AT_LIMIT

@@ -22,8 +22,8 @@ from closedloop.control.reference.tip_path import INSTANT
 from closedloop.jit.calls import call_at
 from closedloop.jit.interim import call_once
 from closedloop.jit.kernel import entry_kernel, kernel, kernel_inlined, plain
-from closedloop.mechanics.loops.assemble import NEAREST, TANGENT
 from closedloop.mechanics.loops.memory import loops_at as loops_memory
+from closedloop.mechanics.loops.solve import NEAREST, TANGENT
 from closedloop.mechanics.robot.tree import Tree, tree_kinematics, tree_turning, work_size
 
 # So many take as long interpreted, 20 µs each, as `sample_spline` takes to be compiled.

@@ -25,13 +25,20 @@ from closedloop.loop.step.energy_supplied import applied_torque
 from closedloop.loop.step.memory import Constants, State, Work, ask_loops, loop_at
 from closedloop.mechanics.closure.contact_force import factorise
 from closedloop.mechanics.closure.solve import LOOPS_OPEN, OK, SINGULAR_MOBILITY, forward_substitute
-from closedloop.mechanics.loops.assemble import TOLERANCE, close_state
 from closedloop.mechanics.loops.factor import factor, smallest_share
 from closedloop.mechanics.loops.memory import LoopLinks, LoopRows, loops_at, tree_at
 from closedloop.mechanics.loops.moved import place_frames
 from closedloop.mechanics.loops.reactions import through_drives
 from closedloop.mechanics.loops.rows import locate_rows
-from closedloop.mechanics.loops.solve import basis_in_metric, dot, leave_free, multiply_transposed, take_free
+from closedloop.mechanics.loops.solve import (
+    TOLERANCE,
+    basis_in_metric,
+    close_state,
+    dot,
+    leave_free,
+    multiply_transposed,
+    take_free,
+)
 from closedloop.mechanics.robot.tree.layout import move_posture
 
 # A row is near to losing its direction below this share; the way to the next of the four states between which what it

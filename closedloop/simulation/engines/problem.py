@@ -38,11 +38,11 @@ from closedloop.mechanics.friction.laws.none import NoFriction
 from closedloop.mechanics.impact import RATIOS
 from closedloop.mechanics.impact.single import RESTITUTIONS, coefficient_at
 from closedloop.mechanics.limits import TOUCHING
-from closedloop.mechanics.loops.assemble import close_state, factor_rows
 from closedloop.mechanics.loops.bind import link_poses, step_memory
 from closedloop.mechanics.loops.memory import POSITION, LoopMemory, bound_points, make_loop_memory
 from closedloop.mechanics.loops.reactions import torque_of_drives
 from closedloop.mechanics.loops.rows import locate_rows
+from closedloop.mechanics.loops.solve import close_state, factor_rows
 from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.mechanics.surface.contact import place_at
 from closedloop.mechanics.surface.placed import PlacedSurface

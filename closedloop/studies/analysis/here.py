@@ -30,9 +30,9 @@ from closedloop.loop.step.memory import Loop
 from closedloop.loop.step.record_row import Row, complete_record
 from closedloop.mechanics.closure.contact_force import FREE, STUCK
 from closedloop.mechanics.contacts.memory import ContactMemory
-from closedloop.mechanics.loops.assemble import closed_to
 from closedloop.mechanics.loops.memory import LoopMemory
 from closedloop.mechanics.loops.reactions import loop_rows
+from closedloop.mechanics.loops.solve import closed_to
 from closedloop.mechanics.robot.tree.layout import turn
 from closedloop.scenario.scenario import Scenario
 from closedloop.scenario.tables import names_of

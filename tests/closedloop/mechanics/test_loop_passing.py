@@ -5,9 +5,8 @@ import pytest
 
 from closedloop.jit.interpreted import interpreted
 from closedloop.loop.step.closed_loops import find_required_on_the_way
-from closedloop.mechanics.loops.assemble import close_state
 from closedloop.mechanics.loops.bind import loop_memory
-from closedloop.mechanics.loops.solve import leave_free
+from closedloop.mechanics.loops.solve import close_state, leave_free
 from closedloop.mechanics.robot.pinocchio import Robot
 from validation.loops.mechanisms import bar, joint, loop, mechanism, point
 

@@ -10,7 +10,7 @@ from falling_loops import falling, free, null_space_acceleration
 import closedloop as cl
 import robot_models
 from closedloop.jit.interpreted import interpreted
-from closedloop.mechanics.loops import assemble
+from closedloop.mechanics.loops import solve
 from closedloop.mechanics.loops.assemble import closed_start
 from closedloop.mechanics.loops.bind import bound_by_loops, loop_memory
 from closedloop.mechanics.loops.memory import IDLE, POSITION
@@ -301,12 +301,12 @@ def test_a_state_is_closed_with_its_velocity(robot):
     memory, rng = loop_memory(model), np.random.default_rng(3)
     q, v = model.model.home + 1e-4 * rng.normal(size=model.n), rng.normal(size=model.n)
     at, moving = q.copy(), v.copy()
-    left = assemble.closed_to(memory.address, at, moving)
+    left = solve.closed_to(memory.address, at, moving)
     for each in (at, moving):
         each.flags.writeable = False  # as the columns of a run are: for other arrays it would be compiled anew
     rows, errors = (found[0] for found in rows_of_loops(model, at[None], moving[None]))
     assert np.max(np.abs(errors)) <= 1e-14
-    assert left <= assemble.TOLERANCE
+    assert left <= solve.TOLERANCE
     np.testing.assert_allclose(rows @ moving, 0.0, atol=1e-6)  # with the rows before the last step
     onto = np.linalg.pinv(rows, rcond=1e-9) @ rows
     np.testing.assert_allclose(onto @ (v - moving), v - moving, atol=2e-3)

@@ -20,16 +20,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from closedloop.base.errors import (
-    ClosedLoopError,
-    InterruptedRunError,
-    OutputError,
-    ScenarioError,
-    SimulationError,
-    lines_of,
-    one_line,
-    printable,
-)
+from closedloop.base import errors
 from closedloop.base.files import what_was_written
 from closedloop.base.interrupts import Terminated, word_for
 from closedloop.base.second_process import Beside
@@ -63,7 +54,7 @@ class Job(NamedTuple):
     columns: dict[str, Any]
 
 
-def simulated(job: Job, progress: bool) -> tuple[Run, SimulationError | None]:
+def simulated(job: Job, progress: bool) -> tuple[Run, errors.SimulationError | None]:
     """Return the run, or what there is of one that could not go on, and why it could not."""
     from closedloop.simulation.engines.law_source import fresh
     from closedloop.simulation.simulate import simulate
@@ -72,27 +63,29 @@ def simulated(job: Job, progress: bool) -> tuple[Run, SimulationError | None]:
     try:
         with redirect_stdout(sys.stderr):  # what a law prints is no result
             return simulate(job.scenario, law=fresh(job.law), **asked), None
-    except SimulationError as error:
-        if error.run is None or (isinstance(error, InterruptedRunError) and len(error.run) == 0):
+    except errors.SimulationError as error:
+        if error.run is None or (isinstance(error, errors.InterruptedRunError) and len(error.run) == 0):
             raise
         return error.run, error
 
 
-def halved(job: Job, run: Run, failure: SimulationError | None, progress: bool) -> tuple[Run, SimulationError | None]:
+def halved(
+    job: Job, run: Run, failure: errors.SimulationError | None, progress: bool
+) -> tuple[Run, errors.SimulationError | None]:
     """Return the run with its comparison with one at half the step, and its failure.
 
     There is none if it was interrupted, or if it cannot be run at half the step.
     """
-    if isinstance(failure, InterruptedRunError):
+    if isinstance(failure, errors.InterruptedRunError):
         return run, failure
     from closedloop.simulation.simulate import beside_half
 
     try:
         with redirect_stdout(sys.stderr):
             return beside_half(run, law=job.law, model=job.model, progress=progress), failure
-    except InterruptedRunError as error:
+    except errors.InterruptedRunError as error:
         return run, error
-    except ScenarioError:  # it cannot be run at half the step: the run itself stands
+    except errors.ScenarioError:  # it cannot be run at half the step: the run itself stands
         return run, failure
 
 
@@ -118,11 +111,11 @@ def without_stabiliser(job: Job, wanted: bool) -> Iterator[Callable[[], Any] | N
     def again() -> Run | None:
         try:
             run, failure = simulated(job._replace(scenario=plain), progress=False)
-        except InterruptedRunError:
+        except errors.InterruptedRunError:
             raise
-        except SimulationError:
+        except errors.SimulationError:
             return None
-        if isinstance(failure, InterruptedRunError):
+        if isinstance(failure, errors.InterruptedRunError):
             raise failure
         return None if failure else run
 
@@ -147,7 +140,7 @@ def warn_of_other_texts(file: str, earlier: Run, now: dict[str, str]) -> None:
     for name, digest in now.items():
         if digest != before.get(name, "") != "":
             said = f"closedloop: the text of {name} is not the one that {file} was made with"
-            print(printable(said), file=sys.stderr)
+            print(errors.printable(said), file=sys.stderr)
 
 
 def warn_of_no_surface(scenario: Scenario) -> None:
@@ -170,10 +163,10 @@ def warn_of_hulls(scenario: Scenario, model: Any) -> None:
 
     try:
         lines = hulls_taken(scenario, model)
-    except ClosedLoopError:  # it cannot be prepared, and `simulate` says why
+    except errors.ClosedLoopError:  # it cannot be prepared, and `simulate` says why
         return
     for line in lines:
-        print(f"closedloop: warning: {one_line(line)}", file=sys.stderr, flush=True)
+        print(f"closedloop: warning: {errors.one_line(line)}", file=sys.stderr, flush=True)
 
 
 def warn_of_gains(scenario: Scenario, model: Any) -> None:
@@ -185,10 +178,10 @@ def warn_of_gains(scenario: Scenario, model: Any) -> None:
         robot = robot_of(scenario, model)
         fault = gains_fault(scenario, robot)
         faults = [fault] if fault else unresolved_feedback(scenario, robot)
-    except ScenarioError:  # it cannot be prepared, and `simulate` says why
+    except errors.ScenarioError:  # it cannot be prepared, and `simulate` says why
         return
     for fault in faults:
-        print(f"closedloop: warning: {one_line(fault)}", file=sys.stderr, flush=True)
+        print(f"closedloop: warning: {errors.one_line(fault)}", file=sys.stderr, flush=True)
 
 
 # What --record says before the joint of a wrench, and before the name of a contact.
@@ -215,7 +208,7 @@ def main(arguments: list[str]) -> int:
         print(list_of_scenarios())
         return DONE
     if options.scenario is None:
-        raise ScenarioError(
+        raise errors.ScenarioError(
             "command line: name a scenario, such as wam_slide, wam_touchdown or panda_slide; --list lists them"
         )
     return _run(options, overrides)
@@ -241,22 +234,22 @@ def _run_into(results: Results, job: Job, options: Namespace) -> int:
         if options.law:
             run = replace(run, law=options.law)
         paths = results.save(run, failure)
-        if isinstance(failure, InterruptedRunError):
+        if isinstance(failure, errors.InterruptedRunError):
             said = f"what ran is in {job.folder}{os.sep}"
             said = said if paths else f"{job.folder}{os.sep} holds more of this run already"
-            raise InterruptedRunError(f"{failure}; {said}", failure.time, run) from failure.__cause__
+            raise errors.InterruptedRunError(f"{failure}; {said}", failure.time, run) from failure.__cause__
         if not options.no_figures:
             paths += _draw(run, job.folder, None if failure else unstabilised)
     if options.json:
         print(json.dumps(run.summary(), indent=2, allow_nan=False))
         if results.not_first:  # standard output is for the summary
             said = f"closedloop: wrote {job.folder}{os.sep}; {results.not_first}"
-            print(printable(said), file=sys.stderr)
+            print(errors.printable(said), file=sys.stderr)
     else:
         from closedloop.record.report import print_report
 
         print_report(run, comparison=bool(options.halve))
-        beside = results.not_first and printable(f"; {results.not_first}")
+        beside = results.not_first and errors.printable(f"; {results.not_first}")
         wrote = what_was_written(*paths, folder=job.folder) + beside
         print(f"{max(0, len(run) - 1)} steps in {run.wall_seconds:.2g} s; {wrote}")
     if failure:
@@ -270,14 +263,14 @@ def _run_into(results: Results, job: Job, options: Namespace) -> int:
 def _job(options: Namespace, overrides: dict[str, Any]) -> Job:
     try:
         scenario, model, earlier = _open(options.scenario, overrides)
-    except ScenarioError as error:
+    except errors.ScenarioError as error:
         from closedloop.command.results import why_not_writable
 
         why = why_not_writable(Path(options.out)) if options.out else ""  # of both faults at once; nothing is made
-        raise ScenarioError(*error.faults, *filter(None, [why])) from None
+        raise errors.ScenarioError(*error.faults, *filter(None, [why])) from None
     law = import_law(options.law) if options.law else None
     if law is None and earlier is not None and earlier.law != "scenario":
-        raise ScenarioError(
+        raise errors.ScenarioError(
             f"{options.scenario}: was made with the law {earlier.law}, which a run file does not carry; "
             "add --law MODULE:FUNCTION"
         )
@@ -315,7 +308,7 @@ def _columns(names: list[str], model: Any) -> dict[str, Any]:
         own = kind not in (WRENCH, CONTACT)
         column = name.rpartition(":")[2] if own else "".join(x if x.isalnum() else "_" for x in name)[:60]
         if column in columns:
-            raise ScenarioError(f"--record {name}: there is a column {column!r} already: use another name")
+            raise errors.ScenarioError(f"--record {name}: there is a column {column!r} already: use another name")
         if own:
             columns[column] = import_function("--record", name, "my_columns:spring_power")
         else:
@@ -357,8 +350,8 @@ def _refuse_to_halve(scenario: Scenario) -> None:
     try:
         half = half_step(scenario)
         steps_and_hold(half, half.law.sample_period, Row.count(1))
-    except ScenarioError as error:
-        raise ScenarioError(*(f"--halve: {fault}" for fault in error.faults)) from None
+    except errors.ScenarioError as error:
+        raise errors.ScenarioError(*(f"--halve: {fault}" for fault in error.faults)) from None
 
 
 def _results(job: Job, options: Namespace) -> Results:
@@ -368,14 +361,14 @@ def _results(job: Job, options: Namespace) -> Results:
     from closedloop.simulation.prepare import completed
 
     scenario = job.scenario
-    with suppress(ClosedLoopError):  # what is at fault is said by the run
+    with suppress(errors.ClosedLoopError):  # what is at fault is said by the run
         scenario = completed(scenario, job.model)
     inputs = question(scenario, job.model, job.law_name, job.digest, job.engine, job.members)
     try:
         return (Results if options.out else first_free)(job.folder, inputs, options.overwrite)
-    except OutputError as error:
+    except errors.OutputError as error:
         if faults := _faults_of(job.scenario, job.model):
-            raise ScenarioError(*faults, str(error)) from None
+            raise errors.ScenarioError(*faults, str(error)) from None
         raise
 
 
@@ -387,8 +380,8 @@ def _faults_of(scenario: Scenario, model: Any) -> tuple[str, ...]:
     try:
         with not_compiled_first():
             prepare(scenario, model)
-    except ClosedLoopError as error:
-        return lines_of(error)
+    except errors.ClosedLoopError as error:
+        return errors.lines_of(error)
     return ()
 
 

@@ -21,15 +21,7 @@ from contextlib import contextmanager, suppress
 from functools import wraps
 from typing import NoReturn
 
-from closedloop.base.errors import (
-    ClosedLoopError,
-    ClusterError,
-    ScenarioError,
-    SimulationError,
-    lines_of,
-    not_installed,
-    one_line,
-)
+from closedloop.base import errors
 from closedloop.base.interrupts import INTERRUPTED, as_exceptions, exit_status, terminable, word_for
 
 DONE, BAD_INPUT, STOPPED, NOT_GOOD, NOT_CONTROLLED = 0, 2, 3, 4, 5
@@ -54,7 +46,7 @@ class Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         """Refuse the arguments."""
-        raise ScenarioError(f"command line: {message}; {self._cure}")
+        raise errors.ScenarioError(f"command line: {message}; {self._cure}")
 
     def exit(self, status: int = 0, message: str | None = None) -> NoReturn:
         """Leave after --help."""
@@ -62,7 +54,8 @@ class Parser(argparse.ArgumentParser):
 
 
 def as_command(
-    name: str = "closedloop", stopped: tuple[type[ClosedLoopError], ...] = (SimulationError, ClusterError)
+    name: str = "closedloop",
+    stopped: tuple[type[errors.ClosedLoopError], ...] = (errors.SimulationError, errors.ClusterError),
 ) -> Callable[[Callable[[list[str]], int]], Callable[..., int]]:
     """Return a decorator that makes a command of a function of words, which are the process's if left out.
 
@@ -84,7 +77,7 @@ def run_command(
     main: Callable[[list[str]], int],
     arguments: Sequence[str] | None = None,
     *,
-    stopped: tuple[type[ClosedLoopError], ...] = (SimulationError, ClusterError),
+    stopped: tuple[type[errors.ClosedLoopError], ...] = (errors.SimulationError, errors.ClusterError),
 ) -> int:
     """Run a command and return its exit status, with all exceptions and output errors handled.
 
@@ -108,7 +101,7 @@ def run_command(
             lines, status = (failure,), BAD_INPUT
         with suppress(OSError):
             for said in lines:
-                print(f"{name}: {one_line(said)}", file=sys.stderr)
+                print(f"{name}: {errors.one_line(said)}", file=sys.stderr)
     return status
 
 
@@ -124,7 +117,7 @@ def _failure_of_output() -> str:
 
 
 def _run(
-    main: Callable[[list[str]], int], words: list[str], stopped: tuple[type[ClosedLoopError], ...]
+    main: Callable[[list[str]], int], words: list[str], stopped: tuple[type[errors.ClosedLoopError], ...]
 ) -> tuple[int, tuple[str, ...]]:
     """Return the exit status, and what to say on standard error, a line for each fault of the input."""
     came: list[int] = []
@@ -135,8 +128,8 @@ def _run(
         return DONE, ()
     except KeyboardInterrupt as stop:  # an interrupted run is a ClosedLoopError too
         return exit_status(stop), (str(stop) or word_for(stop),)
-    except ClosedLoopError as error:
-        return STOPPED if isinstance(error, stopped) else BAD_INPUT, lines_of(error)
+    except errors.ClosedLoopError as error:
+        return STOPPED if isinstance(error, stopped) else BAD_INPUT, errors.lines_of(error)
     except BrokenPipeError:  # as of a program that is ended by it
         return 128 + signal.SIGPIPE, ()
     except MemoryError:
@@ -147,7 +140,7 @@ def _run(
     except SystemExit as leaving:  # our own parsers raise Left
         return BAD_INPUT, (f"something that was run, such as a law, called sys.exit({leaving.code!r})",)
     except Exception as error:
-        if line := not_installed(error):
+        if line := errors.not_installed(error):
             return BAD_INPUT, (line,)
         if came:  # within a library that was being imported, which made an ImportError of it, for example
             return INTERRUPTED, ("interrupted",)

@@ -10,16 +10,8 @@ import json
 from contextlib import suppress
 from pathlib import Path
 
+from closedloop.base import files
 from closedloop.base.errors import ClosedLoopError, InterruptedRunError, OutputError, RunFileError
-from closedloop.base.files import (
-    FolderLock,
-    probe_folder,
-    reason_of,
-    refuse_special,
-    remove_unfinished,
-    why_not_there,
-    write_whole,
-)
 from closedloop.base.interrupts import held_back
 from closedloop.record.frame import difference
 from closedloop.record.run import Run
@@ -91,7 +83,7 @@ class Results:
         self.folder, self.not_first = folder, ""
         self._made, self._lock = _made_and_locked(folder)
         try:
-            remove_unfinished(folder)
+            files.remove_unfinished(folder)
             self._rows, self._other = -1, False
             fault = self._look(question)
             if fault and not overwrite:
@@ -111,13 +103,13 @@ class Results:
     def _look(self, question: dict[str, str]) -> str:
         """Return why what is in the folder may not be replaced, and "" if it may."""
         file, summary = self.folder / RUN, self.folder / SUMMARY
-        refuse_special(file)
-        refuse_special(summary)
+        files.refuse_special(file)
+        files.refuse_special(summary)
         if file.is_symlink() or file.exists():
             try:
                 found, columns = read_sealed(file, ["time"])
             except (RunFileError, OSError) as error:
-                words = str(error) if isinstance(error, RunFileError) else reason_of(error)
+                words = str(error) if isinstance(error, RunFileError) else files.reason_of(error)
                 return f"its {RUN} {words}"
             differing = [key for key, value in question.items() if found.get(key, value) != value]
             if differing:
@@ -143,7 +135,7 @@ class Results:
                 self._clear()
             summary = json.dumps(run.summary(), indent=2, allow_nan=False) + "\n"
             return [
-                run.save(self.folder / RUN), write_whole(self.folder / SUMMARY, summary.encode())
+                run.save(self.folder / RUN), files.write_whole(self.folder / SUMMARY, summary.encode())
             ]  # fmt: skip
 
     def _clear(self) -> None:
@@ -159,15 +151,15 @@ class Results:
                 if ours:
                     path.unlink()
             except OSError as error:
-                raise OutputError(f"{path}: cannot be removed: {reason_of(error)}") from None
+                raise OutputError(f"{path}: cannot be removed: {files.reason_of(error)}") from None
 
 
-def _made_and_locked(folder: Path) -> tuple[list[Path], FolderLock]:
+def _made_and_locked(folder: Path) -> tuple[list[Path], files.FolderLock]:
     """Make a folder and lock it; return the folders that were not there, and the lock."""
     while True:
         made = _make_writable(folder)
         with suppress(FileNotFoundError):  # removed in between by another run that gave nothing
-            lock = FolderLock.of(folder)
+            lock = files.FolderLock.of(folder)
             if lock is None:
                 raise _taken(folder, "another run is being written there")
             return made, lock
@@ -182,12 +174,12 @@ def _make_writable(folder: Path) -> list[Path]:
     try:
         missing += [place for place in (folder, *folder.parents) if not place.exists()]
         with held_back():
-            probe_folder(folder)
+            files.probe_folder(folder)
         return missing
     except (OSError, ValueError) as error:
         _remove_empty(missing)
         raise OutputError(
-            f"--out {str(folder)!r}: cannot be written: {reason_of(error)}; name another folder"
+            f"--out {str(folder)!r}: cannot be written: {files.reason_of(error)}; name another folder"
         ) from None
 
 
@@ -202,7 +194,7 @@ def why_not_writable(folder: Path) -> str:
 
     A file that is there already is no fault yet: whose it is depends on the scenario.
     """
-    why = why_not_there((folder, *folder.absolute().parents))
+    why = files.why_not_there((folder, *folder.absolute().parents))
     return why and f"--out {str(folder)!r}: cannot be written: {why}; name another folder"
 
 

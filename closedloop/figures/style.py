@@ -18,20 +18,7 @@ from numpy.typing import NDArray
 from closedloop.base.families import Absent
 from closedloop.control.reference.force import StepForceSection
 from closedloop.control.reference.path import path_normal, tip_path
-from closedloop.loop.events.table import (
-    EDGE,
-    IMPACT,
-    KINDS,
-    LIFTOFF,
-    RELEASE,
-    REVERSAL,
-    SLIP_AGAIN,
-    STICK,
-    STOP,
-    TANGENTIAL_IMPACT,
-    TIME_STEP,
-    TOUCHDOWN,
-)
+from closedloop.loop.events import table
 from closedloop.mechanics.closure.contact_force import FREE, PRESSED, STUCK
 from closedloop.record.run import Run
 from closedloop.scenario.scenario import Scenario
@@ -247,7 +234,7 @@ def intervals(run: Run) -> list[Interval]:
 
 def _instant(run: Run, row: int) -> float:
     """Return when the mode of this row began: the last event since the row before that changes modes, if there is."""
-    events = run.event_time[(run.event_kind != IMPACT) & (run.event_kind != REVERSAL)]
+    events = run.event_time[(run.event_kind != table.IMPACT) & (run.event_kind != table.REVERSAL)]
     latest = int(np.searchsorted(events, run.time[row], side="right")) - 1
     if latest >= 0 and events[latest] > run.time[row - 1]:
         return float(events[latest])
@@ -268,17 +255,17 @@ BANDS: dict[int, tuple[str, dict[str, Any]]] = {
 }
 # The first to be drawn is the lowest: one touchdown is not hidden by a hundred impacts.
 SHAPES: dict[int, dict[str, Any]] = {
-    IMPACT: {"marker": "|", "markersize": 7, "markeredgewidth": 0.9},
-    REVERSAL: {"marker": "d", "markersize": 4},
-    SLIP_AGAIN: {"marker": ">", "markersize": 5},
-    STICK: {"marker": "s", "markersize": 4},
-    TOUCHDOWN: {"marker": "v", "markersize": 6},
-    LIFTOFF: {"marker": "^", "markersize": 6},
-    EDGE: {"marker": "X", "markersize": 6},
-    STOP: {"marker": "P", "markersize": 5},
-    RELEASE: {"marker": "<", "markersize": 5},
-    TIME_STEP: {"marker": "*", "markersize": 6},
-    TANGENTIAL_IMPACT: {"marker": "p", "markersize": 5},
+    table.IMPACT: {"marker": "|", "markersize": 7, "markeredgewidth": 0.9},
+    table.REVERSAL: {"marker": "d", "markersize": 4},
+    table.SLIP_AGAIN: {"marker": ">", "markersize": 5},
+    table.STICK: {"marker": "s", "markersize": 4},
+    table.TOUCHDOWN: {"marker": "v", "markersize": 6},
+    table.LIFTOFF: {"marker": "^", "markersize": 6},
+    table.EDGE: {"marker": "X", "markersize": 6},
+    table.STOP: {"marker": "P", "markersize": 5},
+    table.RELEASE: {"marker": "<", "markersize": 5},
+    table.TIME_STEP: {"marker": "*", "markersize": 6},
+    table.TANGENTIAL_IMPACT: {"marker": "p", "markersize": 5},
 }
 INK = "0.15"
 TIME = "time [s]"
@@ -331,7 +318,7 @@ def contact_handles(run: Run) -> list[Artist]:
         handles += [Patch(label=name, **style) for mode, (name, style) in BANDS.items() if mode in present]
     happened = set(np.unique(run.event_kind).tolist())
     return handles + [
-        Line2D([], [], color=INK, linestyle="none", label=KINDS[kind].replace("_", " "), **shape)
+        Line2D([], [], color=INK, linestyle="none", label=table.KINDS[kind].replace("_", " "), **shape)
         for kind, shape in sorted(SHAPES.items())
         if kind in happened
     ]

@@ -25,6 +25,7 @@ from closedloop.base.files import reason_of
 from closedloop.base.upwards import called
 from closedloop.mechanics.loops.reactions import LoopReactions
 from closedloop.mechanics.surface.placed import unit
+from closedloop.record import save as stored
 from closedloop.record.columns.derived import (
     DERIVED,
     DerivedColumn,
@@ -44,21 +45,6 @@ from closedloop.record.columns.record import (
     Record,
 )
 from closedloop.record.report.summary import summarise
-from closedloop.record.save import (
-    ADDED,
-    ATTRIBUTES,
-    CHECKSUM,
-    CONVENTIONS,
-    FORMAT,
-    FORMAT_VERSION,
-    HALVED,
-    HDF5,
-    MEMBERS,
-    attributes,
-    checksum,
-    read_sealed,
-    save_run,
-)
 from closedloop.scenario.arm import robot_of
 from closedloop.scenario.load import parse_scenario
 from closedloop.scenario.tables import labels_of, tangents_of
@@ -256,7 +242,7 @@ class Run(Record):
                 "axis": ["x", "y", "z"],
                 **({"contact": list(contacts), "contact_tangent": list(tangents_of(contacts))} if contacts else {}),
             },
-            CONVENTIONS | attributes(self),
+            stored.CONVENTIONS | stored.attributes(self),
         )
 
     def to_pandas(self) -> pandas.DataFrame:
@@ -305,8 +291,8 @@ class Run(Record):
         OutputError
             If the path has another ending, or the file cannot be written.
         """
-        if Path(path).suffix in HDF5:
-            return save_run(self, path)
+        if Path(path).suffix in stored.HDF5:
+            return stored.save_run(self, path)
         written: list[Path] = called("save", self, path)
         return written[0]
 
@@ -416,7 +402,7 @@ def load_run(path: str | Path) -> Run:
     """
     path = Path(path)
     try:
-        run = _run_of(*read_sealed(path, list(ALL_COLUMNS)))
+        run = _run_of(*stored.read_sealed(path, list(ALL_COLUMNS)))
     except KeyError as error:
         raise RunFileError(f"{path}: is not a run file, or is damaged: {error} is missing") from None
     except ClosedLoopError as error:
@@ -430,17 +416,19 @@ def load_run(path: str | Path) -> Run:
 
 def _run_of(found: Mapping[str, Any], columns: dict[str, NDArray[Any]]) -> Run:
     """Make a run of what a file holds, which may be anything until its checksum is compared."""
-    if found.get("format") != FORMAT:
-        raise RunFileError(f"is not a run file (its 'format' attribute is not '{FORMAT}')")
+    if found.get("format") != stored.FORMAT:
+        raise RunFileError(f"is not a run file (its 'format' attribute is not '{stored.FORMAT}')")
     version = int(found["format_version"])
-    if version != FORMAT_VERSION:
-        age, cure = ("a newer", "") if version > FORMAT_VERSION else ("an older", "; run its scenario again")
-        raise RunFileError(f"was written by {age} version: format {version}, this one reads {FORMAT_VERSION}{cure}")
-    if CHECKSUM not in found:
+    if version != stored.FORMAT_VERSION:
+        age, cure = ("a newer", "") if version > stored.FORMAT_VERSION else ("an older", "; run its scenario again")
+        raise RunFileError(
+            f"was written by {age} version: format {version}, this one reads {stored.FORMAT_VERSION}{cure}"
+        )
+    if stored.CHECKSUM not in found:
         raise RunFileError("has no checksum, so it cannot be checked for damage; run its scenario again")
     # Of what was written, whatever else another program has added since.
-    ours = {name: value for name, value in found.items() if name in ATTRIBUTES}
-    if found[CHECKSUM] != checksum(ours, columns):
+    ours = {name: value for name, value in found.items() if name in stored.ATTRIBUTES}
+    if found[stored.CHECKSUM] != stored.checksum(ours, columns):
         raise RunFileError("is damaged, or was changed: its checksum is not that of its columns and attributes")
     run = Run(  # type: ignore[abstract]  # its columns are there by their names
         scenario=parse_scenario(found["scenario"], where="attribute 'scenario'", keep_absent=True),
@@ -452,9 +440,9 @@ def _run_of(found: Mapping[str, Any], columns: dict[str, NDArray[Any]]) -> Run:
         wall_seconds=float(found["wall_seconds"]),
         engine=found["engine"],
         law_digest=found["law_digest"],
-        member_digests=json.loads(found.get(MEMBERS, "{}")),
-        added=from_text(found[ADDED]) if ADDED in found else {},
-        halved=json.loads(found[HALVED]) if HALVED in found else None,
+        member_digests=json.loads(found.get(stored.MEMBERS, "{}")),
+        added=from_text(found[stored.ADDED]) if stored.ADDED in found else {},
+        halved=json.loads(found[stored.HALVED]) if stored.HALVED in found else None,
     )
     if lacks_members(run.scenario):
         vars(run)["_summary"] = json.loads(found["summary"])

@@ -33,17 +33,7 @@ from closedloop.loop.step.record_row import Row, recorded
 from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.mechanics.robot.tree import Tree
 from closedloop.record.columns.record import SURFACE_COLUMNS
-from closedloop.record.report.control_verdict import (
-    MEAN_SHARE,
-    PATH_FLOOR,
-    RELEASE,
-    judge_control,
-    judge_force,
-    limited_joints,
-    negative_gain,
-    signals_of,
-    told,
-)
+from closedloop.record.report import control_verdict
 from closedloop.record.report.measured import CONTROL, FAILED_AT, WIDTH, Tally, Values, measure_rows
 from closedloop.record.report.measures import NAMES, joint_limits
 from closedloop.record.report.run_values import lost_to_slips
@@ -74,17 +64,24 @@ def control_in_lanes(runs: LaneRuns, lane: int, scenario: Scenario) -> str:
         return control_of_rows(problem, found, events, runs.values(lane), None)
     worst, count = runs.worst(lane), runs.kind.steps + 1
     scale = math.sqrt(worst.wanted_squared / count)
-    on_path = 4.0 * worst.off_squared <= PATH_FLOOR**2
-    if on_path and worst.least > 0.0 and worst.rise <= RELEASE and not negative_gain(scenario):
-        if worst.miss <= MEAN_SHARE * scale:
+    on_path = 4.0 * worst.off_squared <= control_verdict.PATH_FLOOR**2
+    if (
+        on_path
+        and worst.least > 0.0
+        and worst.rise <= control_verdict.RELEASE
+        and not control_verdict.negative_gain(scenario)
+    ):
+        if worst.miss <= control_verdict.MEAN_SHARE * scale:
             return GOOD
         unknown: list[str] = []
-        return _told((judge_force(runs.miss(lane), scale, runs.kind.h, _rows(count), unknown), unknown))
+        return _told((control_verdict.judge_force(runs.miss(lane), scale, runs.kind.h, _rows(count), unknown), unknown))
     wanted, force, along, tip = runs.signals(lane)
     # In contact from the start, only by how much the path rises off the surface counts.
     path = along, tip @ runs.normal(lane), tip
-    signals = signals_of(scenario, runs.kind.h, force, wanted, np.ones(count, dtype=bool), path, np.empty(0))
-    return _told(judge_control(signals, {}))
+    signals = control_verdict.signals_of(
+        scenario, runs.kind.h, force, wanted, np.ones(count, dtype=bool), path, np.empty(0)
+    )
+    return _told(control_verdict.judge_control(signals, {}))
 
 
 @lru_cache(maxsize=8)
@@ -100,23 +97,23 @@ def control_of_rows(problem: Problem, found: Array, events: Array, values: Any, 
     """
     n = problem.robot.n
     if not found.shape[1]:
-        return _told(judge_control(None, {}, stopped))
+        return _told(control_verdict.judge_control(None, {}, stopped))
     kinds = events[:, EventRow.place("kind")]
     began = (kinds == IMPACT) | (kinds == TOUCHDOWN)
-    signals = signals_of(
+    signals = control_verdict.signals_of(
         problem.scenario, problem.h, found[0], found[1], found[2] != 0.0, (found[4:7].T, found[3], found[7:].T),
         events[began, EventRow.place("time")],
     )  # fmt: skip
     measured = Values(values, n)
     names = problem.robot.model.joint_names
-    limited = limited_joints(names, measured.torque_limited_share, measured.torque_limited_at)
-    return _told(judge_control(signals, limited, stopped))
+    limited = control_verdict.limited_joints(names, measured.torque_limited_share, measured.torque_limited_at)
+    return _told(control_verdict.judge_control(signals, limited, stopped))
 
 
 def _told(judged: tuple[list[dict[str, Any]], list[str]]) -> str:
     """Return the text of the column, with what is not known where nothing else is wrong."""
     problems, unknown = judged
-    return told({"control_verdict": {"problems": problems, "not_known": unknown}})
+    return control_verdict.told({"control_verdict": {"problems": problems, "not_known": unknown}})
 
 
 SINGULAR_AT = FAILED_AT + NAMES.index("nonsingular")

@@ -10,15 +10,7 @@ from closedloop.base.arrays import Array
 from closedloop.base.errors import DivergenceError
 from closedloop.control.reference.table import Reference
 from closedloop.jit.interpreted import interpreted
-from closedloop.loop.events.locate import (
-    AFTER_EVENT,
-    AT_EVENT,
-    FAILED,
-    PROJECTION,
-    QUERY,
-    STEP_END,
-    TERMS,
-)
+from closedloop.loop.events import locate
 from closedloop.loop.events.proceed import BEGIN_STEP, DERIVE, EVENT_VALUE, RECORD
 from closedloop.loop.step.advance import turn_rate
 from closedloop.loop.step.closed_loops import CLOSE, closed_loops
@@ -141,7 +133,7 @@ class Memory:
     def begin(self, t: float) -> None:
         """Check the contact mode at the state evaluated last, at t, s, and change it if it is inconsistent."""
         self.w.time = t
-        self._run_events(AFTER_EVENT)
+        self._run_events(locate.AFTER_EVENT)
 
     def copied(self) -> Callable[[], None]:
         """Return what writes the memory as it is now back, contacts of links included."""
@@ -173,7 +165,7 @@ class Memory:
                 mean += self.position_rates() - w.v  # to the order of the rest
                 self.evaluate(t, self.get() + left * np.concatenate([mean, w.qdd, w.dz, [0.0]]), interval, EVENT_VALUE)
         w.time = t
-        self._run_events(AT_EVENT)
+        self._run_events(locate.AT_EVENT)
         return t
 
     def projected(self, y: Array) -> Array:
@@ -192,8 +184,8 @@ class Memory:
         if self.state.settings.project == 0 or self.state.mode == FREE:
             return y
         self.put(y)
-        self.state.projection.moves, self.state.projection.next_phase = 0, STEP_END
-        self._run_events(PROJECTION)
+        self.state.projection.moves, self.state.projection.next_phase = 0, locate.STEP_END
+        self._run_events(locate.PROJECTION)
         return self.get()
 
     def _run_events(self, phase: int) -> None:
@@ -201,23 +193,23 @@ class Memory:
         sampled, row = int(self.state.sampled), int(self.state.row)
         self.state.phase, self.state.row = phase, 1
         self.constants.h = self.w.time
-        drive(self._call, self.driver.answers.give, lambda: bool(self.state.phase != STEP_END))
+        drive(self._call, self.driver.answers.give, lambda: bool(self.state.phase != locate.STEP_END))
         self.state.sampled, self.state.row, self.constants.h = sampled, row, self.h
 
     def _call(self, request: int) -> int:
         """Call the loop, with terms if they were requested."""
-        answer = self.driver.once() if request == TERMS else self.driver.again()
-        if answer == FAILED:
+        answer = self.driver.once() if request == locate.TERMS else self.driver.again()
+        if answer == locate.FAILED:
             self._check(int(self.state.status))
         return answer
 
     def _evaluate_for(self, use: int) -> None:
         """Evaluate the state in the memory."""
-        phase, self.state.phase, self.state.query = int(self.state.phase), QUERY, use
+        phase, self.state.phase, self.state.query = int(self.state.phase), locate.QUERY, use
         if use == RECORD:
             drawn = slice(Reference.count(self._problem.robot.n), None)  # what the sensor draws
             self._wanted[0, drawn] = self._problem.table[self.state.row * self._problem.nodes, drawn]
-        self._call(TERMS)
+        self._call(locate.TERMS)
         self._check(OK)
         self.state.phase = phase
 

@@ -27,20 +27,10 @@ import numpy as np
 from closedloop.base.arrays import Array, Mask
 from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.studies.comparison.recording import EDGE, Recording, expected_force
+from closedloop.studies.identify import motion
 from closedloop.studies.identify.fit import Fit, fit, whiteness
 from closedloop.studies.identify.identify import WHITENESS_LEVEL, Estimate
 from closedloop.studies.identify.log import Log, LogError
-from closedloop.studies.identify.motion import (
-    EVALUATIONS,
-    Motion,
-    between_counts,
-    count_of,
-    half_of,
-    motion,
-    speed_noise,
-    usual_cutoff,
-    white_noise,
-)
 from robot_models.tool import carried_by
 
 # A force above this share of its range is surely of a contact; it counts as one above the other, or this many noises.
@@ -94,9 +84,9 @@ class Touch:
 def touch_of(recording: Recording, robot: Robot, normal: Array) -> Touch:
     """Return where the tip of a recording is, and when it touches a plane."""
     time, q, force = recording.time, recording.positions, recording.force
-    counted = bool(count_of(q).any())
-    ways = [q, between_counts(q), half_of(q, 0), half_of(q, 1)]
-    stride = -(-len(time) // EVALUATIONS)
+    counted = bool(motion.count_of(q).any())
+    ways = [q, motion.between_counts(q), motion.half_of(q, 0), motion.half_of(q, 1)]
+    stride = -(-len(time) // motion.EVALUATIONS)
     if stride > 1:
         time, *ways = (_averaged(x, stride) for x in (time, *ways))
         force = None if force is None else _averaged(force, stride)
@@ -131,12 +121,12 @@ def touch_of_speed(recording: Recording, normal: Array) -> Touch:
     height = np.concatenate([[0.0], np.cumsum(0.5 * (rate[1:] + rate[:-1]) * np.diff(time))])
     if np.cov(height, force)[0, 1] > 0.0:
         height = -height
-    stride = -(-len(time) // EVALUATIONS)
+    stride = -(-len(time) // motion.EVALUATIONS)
     if stride > 1:
         time, height, force = (_averaged(x, stride) for x in (time, height, force))
     axes, none = np.broadcast_to(np.eye(3), (len(time), 3, 3)), np.zeros(len(time), dtype=bool)
     place = np.outer(height, normal)
-    between = place, half_of(place, 0), half_of(place, 1)
+    between = place, motion.half_of(place, 0), motion.half_of(place, 1)
     return _told(Touch(time, place, force[:, None], between, False, axes, normal, none, none, recording.source))
 
 
@@ -152,13 +142,13 @@ def _told(touch: Touch) -> Touch:
     bias is; what has a force beyond that of free rows is closed.
     """
     f, height = touch.along, touch.height
-    noise = float(white_noise(f[:, None])[0])
+    noise = float(motion.white_noise(f[:, None])[0])
     low, high = np.percentile(f, [0.5, 99.5])
     if high - low <= 2.0 * NOISES * noise:  # one level throughout
         return replace(touch, closed=np.full(len(f), bool(abs(f.mean()) > NOISES * noise)))
     sure = height[f > low + SURELY * (high - low)]
     bottom, top = np.percentile(sure, [1.0, 99.0])
-    above = top + DEEPER * (top - bottom) + NOISES * float(white_noise(height[:, None])[0]) + 1e-9
+    above = top + DEEPER * (top - bottom) + NOISES * float(motion.white_noise(height[:, None])[0]) + 1e-9
     free = height > above
     level = float(np.median(f[free])) if free.any() else 0.0
     closed = ~free & (f - level > max(LEAST * (high - level), NOISES * noise))
@@ -170,9 +160,9 @@ class Windows:
     """The motion of a tip and its force, averaged over windows."""
 
     # x, even, odd: of all rows of the positions, and of every other row, whose noise is independent
-    x: Motion
-    even: Motion
-    odd: Motion
+    x: motion.Motion
+    even: motion.Motion
+    odd: motion.Motion
     touch: Touch
     cutoff: float  # Hz
 
@@ -182,9 +172,9 @@ class Windows:
         assert touch.force is not None
         log = Log(touch.time, touch.position, touch.force, source=touch.source)
         if cutoff is None:  # slow motions too need windows enough
-            cutoff = max(usual_cutoff(log), 0.5 * WINDOWS / (touch.time[-1] - touch.time[0]))
-        x, even, odd = (motion(replace(log, q=place), cutoff) for place in touch.between)
-        x = replace(x, noise=speed_noise(log, cutoff))
+            cutoff = max(motion.usual_cutoff(log), 0.5 * WINDOWS / (touch.time[-1] - touch.time[0]))
+        x, even, odd = (motion.motion(replace(log, q=place), cutoff) for place in touch.between)
+        x = replace(x, noise=motion.speed_noise(log, cutoff))
         return cls(x, even, odd, touch, cutoff)
 
     def mean(self, rows: Array) -> Array:
@@ -198,7 +188,7 @@ class Windows:
         if delay == 0.0:
             return self.x.torque
         moved = np.stack([np.interp(touch.time + delay, touch.time, column) for column in touch.force.T], axis=1)
-        return motion(Log(touch.time, touch.position, moved), self.cutoff).torque
+        return motion.motion(Log(touch.time, touch.position, moved), self.cutoff).torque
 
     def within(self, rows: Mask, margin: int = MARGIN) -> Mask:
         """Return the windows, (R,), all rows of which, and of so many beside them, are among `rows` (N,)."""

@@ -20,7 +20,7 @@ ABOVE = {
     "html": "closedloop.figures.files:html",
     "show": "closedloop.lab.history:show_run",
     "animate": "closedloop.lab.animate:animate",
-    "save": "closedloop.figures.export.tables:save",
+    "save": "closedloop.figures.export.files:save",
     "step_error": "closedloop.simulation.simulate:step_error_of",
 }
 

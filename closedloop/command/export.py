@@ -5,9 +5,9 @@ from pathlib import Path
 from closedloop.base.errors import OutputError
 from closedloop.base.files import what_was_written
 from closedloop.command.border import DONE, Parser, as_command
-from closedloop.figures.export.mcap_file import write_rosbag2
+from closedloop.figures.export.files import FORMATS as BY_ENDING
+from closedloop.figures.export.files import write_rosbag2
 from closedloop.figures.export.mjcf import write_mjcf
-from closedloop.figures.export.tables import FORMATS as BY_ENDING
 from closedloop.lab.animate import animate
 from closedloop.lab.history import share
 from closedloop.record.run import load_run

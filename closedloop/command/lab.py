@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 
 from closedloop.base.errors import ScenarioError
 from closedloop.base.interrupts import Terminated
-from closedloop.base.loopback import is_loopback
 from closedloop.command.border import DONE, Parser, as_command
 from closedloop.command.shared_options import parsed
+from closedloop.lab.server import is_loopback
 from closedloop.lab.start import NEEDS, lab, open_in_browser
 from closedloop.scenario.user_module import import_law
 

@@ -7,6 +7,7 @@ the token alone, a random word in the page's address, ``http://127.0.0.1:8080/?t
 
 import contextlib
 import errno
+import ipaddress
 import json
 import logging
 import math
@@ -25,7 +26,15 @@ from typing import Any, Generic, TypeVar
 from urllib.parse import parse_qs, urlsplit
 
 from closedloop.base.errors import OutputError
-from closedloop.base.loopback import is_loopback
+
+
+def is_loopback(host: str) -> bool:
+    """Whether an address, or a name, is that of this computer for itself."""
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return host == "localhost"
+
 
 Q = TypeVar("Q")
 A = TypeVar("A")

@@ -23,7 +23,7 @@ import numpy as np
 from closedloop.base.arrays import Array, number_of
 from closedloop.base.errors import missing_line, needs
 from closedloop.base.files import kind_of, reason_of
-from closedloop.figures.export.mcap_file import DEFINITIONS
+from closedloop.figures.export.files import DEFINITIONS
 from closedloop.simulation.batch.threads import Done, uninterrupted
 from closedloop.studies.identify.log import Log, LogError
 

@@ -17,8 +17,8 @@ import validation
 from closedloop.__main__ import main
 from closedloop.base.errors import printable
 from closedloop.base.files import what_was_written
+from closedloop.figures.export.files import _csv
 from closedloop.figures.export.mjcf import explained
-from closedloop.figures.export.tables import _csv
 from closedloop.lab.history import quoted, save
 
 # Line breaks of all kinds, what ends a comment, a script or a cell, and characters that no file of text may have.

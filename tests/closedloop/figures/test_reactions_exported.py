@@ -5,8 +5,7 @@ import pyarrow.csv
 import pytest
 
 import closedloop as cl
-from closedloop.figures.export.mcap_file import write_mcap
-from closedloop.figures.export.tables import write_csv
+from closedloop.figures.export.files import write_csv, write_mcap
 
 
 @pytest.fixture(scope="module")

@@ -16,10 +16,9 @@ import pytest
 
 import closedloop as cl
 from closedloop.__main__ import main
-from closedloop.base.loopback import is_loopback
-from closedloop.figures.export.mcap_file import write_mcap
+from closedloop.figures.export.files import write_mcap
 from closedloop.lab import server
-from closedloop.lab.server import HALF_OPEN, PATIENCE, Server, without_token
+from closedloop.lab.server import HALF_OPEN, PATIENCE, Server, is_loopback, without_token
 from closedloop.lab.start import open_in_browser
 
 

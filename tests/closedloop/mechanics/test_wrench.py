@@ -9,8 +9,8 @@ import pytest
 from rounding import within
 
 import closedloop as cl
+from closedloop.figures.export.files import write_csv
 from closedloop.figures.export.mjcf import write_mjcf
-from closedloop.figures.export.tables import write_csv
 from closedloop.figures.motion import has_tool
 
 TOOL = {"tool.offset": [0.02, -0.01, 0.12], "tool.mass": 0.8, "tool.centre": [0.01, 0.0, 0.05],

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 import closedloop as cl
-from closedloop.figures.export.mcap_file import write_rosbag2
-from closedloop.figures.export.tables import FORMATS
+from closedloop.figures.export.files import FORMATS, write_rosbag2
 from closedloop.record.columns.derived import DERIVED
 from closedloop.record.columns.record import ALL_COLUMNS, SYMBOLS, TypedColumns
 

@@ -11,7 +11,7 @@ import closedloop as cl
 import robot_models
 from closedloop.base import errors
 from closedloop.command.border import BAD_INPUT, run_command
-from closedloop.figures.export.tables import write_csv
+from closedloop.figures.export.files import write_csv
 from closedloop.studies.identify.read import table_of
 from robot_models import example_robots
 

@@ -10,7 +10,7 @@ from pydantic import Field
 import closedloop as cl
 from closedloop.base.errors import LawError, RunFileError, ScenarioError
 from closedloop.base.sections import RATE, Positive
-from closedloop.figures.export.tables import write_csv
+from closedloop.figures.export.files import write_csv
 from closedloop.scenario.tables import labels_of
 from tests.rounding import rounding
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import closedloop as cl
-from closedloop.figures.export.mcap_file import write_mcap
+from closedloop.figures.export.files import write_mcap
 from closedloop.simulation.batch.threads import Done
 from closedloop.studies.comparison.recording import read_recording
 from closedloop.studies.identify import read as bag_module

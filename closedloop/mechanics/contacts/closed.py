@@ -1,7 +1,5 @@
 """Forces in known modes: of one contact by its closed form, else of all together."""
 
-from __future__ import annotations
-
 from closedloop.jit.calls import row_of
 from closedloop.jit.kernel import kernel
 from closedloop.mechanics.closure.contact_force import pressed_force, stuck_force

@@ -14,8 +14,6 @@ of their normals cross (D. Gregorius, Game Developers Conference, 2013). An edge
 body: a contact is with that which it crosses first, or last.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -6,8 +6,6 @@ one, give F_t = −c f − w in every state, so that their contacts slide for th
 time: it has the cone of `kinetic_level`, as the tip's has.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from functools import cache

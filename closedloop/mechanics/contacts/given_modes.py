@@ -16,8 +16,6 @@ on each other couple neighbours. Where the shortest are outside the cones the sh
 any (`closedloop.mechanics.contacts.joint_space.find_least`).
 """
 
-from __future__ import annotations
-
 import math
 
 from closedloop.base.arrays import Array

@@ -10,8 +10,6 @@ are impulses and they create none. With e = 0 there always are (V. Acary, F. Cad
 91, 2011), and they never do.
 """
 
-from __future__ import annotations
-
 import math
 
 from closedloop.jit.kernel import kernel

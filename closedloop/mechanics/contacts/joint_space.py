@@ -15,8 +15,6 @@ anywhere. With it a round has to begin near its end: ρ is lessened until it doe
 Comput. Methods Appl. Mech. Eng. 177, 1999) comes near a solution from farther away, if slowly.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Annotated
 

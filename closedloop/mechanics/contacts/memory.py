@@ -8,8 +8,6 @@ force of another. Every contact has three rows, along its normal and two tangent
 stop are ± q̇ of its joint, or ± L̇ of its tendon, and two of zeros, in rad (m) and N m (N).
 """
 
-from __future__ import annotations
-
 from typing import Annotated, NamedTuple
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What forces of contacts do to their rows: the mobility W = X Xᵀ, 1/kg, with X = L⁻¹Gᵀ, which is nowhere written."""
 
-from __future__ import annotations
-
 import math
 
 from closedloop.base.arrays import Array

@@ -5,8 +5,6 @@ are in Coulomb's cone, with the acceleration in place of the velocity (P. Lötst
 problem of `closedloop.mechanics.contacts.unknown_modes` says which of them part, which slide, and which stick.
 """
 
-from __future__ import annotations
-
 import math
 
 from closedloop.jit.kernel import kernel

@@ -1,7 +1,5 @@
 """The contacts that take part in a problem, as `closedloop.mechanics.contacts.joint_space` has them."""
 
-from __future__ import annotations
-
 from closedloop.jit.calls import row_of
 from closedloop.jit.kernel import kernel
 from closedloop.mechanics.contacts.joint_space import ALONG, GIVEN, HOLDS, IN_CONE, OWNED, PUSHES

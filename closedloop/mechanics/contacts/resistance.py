@@ -10,8 +10,6 @@ is Coulomb's law for the turning: at rest it holds what it can. Each is a contac
 and where modes are known its moment goes with the unknown f, as the friction of a contact that slides does.
 """
 
-from __future__ import annotations
-
 from closedloop.base.arrays import Array
 from closedloop.jit.kernel import kernel
 from closedloop.mechanics.closure.contact_force import FREE, PRESSED

@@ -1,7 +1,5 @@
 """The rows of the resistances to rolling and pivoting, see `closedloop.mechanics.contacts.resistance`."""
 
-from __future__ import annotations
-
 from closedloop.jit.calls import integers_at
 from closedloop.jit.kernel import kernel
 from closedloop.mechanics.contacts.memory import ContactLinks, Contacts

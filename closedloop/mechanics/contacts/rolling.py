@@ -34,8 +34,6 @@ acceleration of the material at the contact differ from the centre's by ω × r 
 surface.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Annotated, NamedTuple
 

@@ -1,7 +1,5 @@
 """What happens where bodies touch: [impact], how the tip bounces, and [[contact]], contacts of other points."""
 
-from __future__ import annotations
-
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np

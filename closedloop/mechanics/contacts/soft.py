@@ -18,8 +18,6 @@ It is Coulomb's to the last bit from 19 v_c on. What rests creeps at less than v
 for which the integrator has a scheme (`closedloop.simulation.engines.adaptive.drive`).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from functools import cache

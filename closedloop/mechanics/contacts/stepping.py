@@ -19,8 +19,6 @@ soft contact presses with the force at the step's end, of the tangent of its law
 the step.
 """
 
-from __future__ import annotations
-
 import math
 
 from closedloop.base.arrays import Array

@@ -4,8 +4,6 @@ They are those of the tip (`closedloop.mechanics.surface`), in the axes of the f
 surface's origin and `normal` its normal there, and what moves moves relative to that frame.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any, NamedTuple
 

@@ -18,8 +18,6 @@ solution where accelerations have none. Where a contact slides so that pressing 
 tangential impact is tried first. The forces are P/h until the step has ended; then the modes are sought anew.
 """
 
-from __future__ import annotations
-
 from closedloop.jit.kernel import kernel
 from closedloop.mechanics.closure.contact_force import FREE, PRESSED
 from closedloop.mechanics.contacts.friction import take_kinetic

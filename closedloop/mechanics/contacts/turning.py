@@ -19,8 +19,6 @@ through its turns: friction is against the slip as it is. That of soft contacts 
 The work is bounded. What is not found by then is left: friction is then against the slip as it is.
 """
 
-from __future__ import annotations
-
 import math
 
 from closedloop.jit.calls import row_of

@@ -10,8 +10,6 @@ adds to it, and F an impulse; or q is the acceleration without contacts and F a 
 have a direction: F = f (1, −μ d), f >= 0, u_n >= 0, f u_n = 0. `closedloop.mechanics.contacts.joint_space` solves it.
 """
 
-from __future__ import annotations
-
 from closedloop.jit.kernel import kernel
 from closedloop.mechanics.contacts.joint_space import find_exactly, is_wedged, solve_softly
 from closedloop.mechanics.contacts.memory import ContactLinks, Contacts

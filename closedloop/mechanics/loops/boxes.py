@@ -7,8 +7,6 @@ they are nearest; and where their normal is nearly that of a face, what is less 
 may come down in a step. All depends on where the boxes are, and on nothing before.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Annotated
 

@@ -8,5 +8,4 @@ turning    where the friction of a slow slip points
 
     section = SurfaceLuGre(kinetic=0.2, static=0.3, stribeck_speed=1e-3, stiffness=1e4, damping=30.0)
     contact = surface_contact(section)
-    draw(section, "lugre.png")
 """

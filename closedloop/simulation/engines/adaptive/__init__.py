@@ -6,10 +6,7 @@ output: events are located on it, and rows are taken from it, with force and acc
 state. Events are applied by `closedloop.loop.events`, as though they were at a row; so is the projection, where the
 scenario has one, at every step and every row.
 
-smooth      the reference as a polynomial between its discontinuities
-crossing    the first root of an event function in a step
-slow        slow slip, where dry friction is stiff: an implicit scheme
+smooth      the reference as a polynomial between its discontinuities; the first root of an event function in a step
 memory      the loop's memory, and the calls on it
-drive       intervals, steps, events and rows
-outcome     a run to its end, or to where it fails
+drive       intervals, steps, events and rows; slow slip, where dry friction is stiff: an implicit scheme
 """

@@ -12,8 +12,6 @@ Every mutant runs in a process forked from one in which the packages are importe
 than its tests.
 """
 
-from __future__ import annotations
-
 import argparse
 import ast
 import copy

@@ -6,8 +6,6 @@ The laws are of the recorded rows alone, with the tensor I and the radius that t
     a ball that rolls: ẍ = −5/7 g ρ/R,   and one that pivots: ω̇_n = −5/2 g σ/R²
 """
 
-from __future__ import annotations
-
 import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass

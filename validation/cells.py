@@ -1,7 +1,5 @@
 """The cells of a comparison: one quantity of one engine over all states, and all of one robot."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import numpy as np

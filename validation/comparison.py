@@ -6,8 +6,6 @@ cell of its own and never counts as agreement. An engine's contact force counts 
 constraint acts.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from typing import Any
 

@@ -5,8 +5,6 @@ contact opens inwards, no impulse pulls or leaves its cone, what slides is rubbe
 has no impulse, u⁺ = u⁻ + W P, and e says how fast what strikes parts.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 

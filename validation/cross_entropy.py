@@ -4,8 +4,6 @@ Source: R. Y. Rubinstein and D. P. Kroese, The Cross-Entropy Method, Springer 20
 Tetris using the noisy cross-entropy method, Neural Computation 18(12), 2006 (the spread that is added).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 

@@ -5,8 +5,6 @@ plane, friction, torques and reward, and beside the steps a second of `closedloo
 that what else the computer does slows all alike; ratios are of neighbouring laps, their median is told.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import statistics

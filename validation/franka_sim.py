@@ -8,8 +8,6 @@ the load of the computer does not matter. The client is `pylibfranka`, unchanged
 free space, then press.
 """
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -7,8 +7,6 @@ lists beside it, so the same identities grade the oracle, Pinocchio or anything 
 silence.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any

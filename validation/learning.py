@@ -5,8 +5,6 @@ The cross-entropy method learns to press with 10 N on surfaces of unknown stiffn
 smooth and rough. All are then tried on the same held-out surfaces, which neither has met.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import sys

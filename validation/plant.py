@@ -6,8 +6,6 @@ tolerance, is the margin by which the harness would see such a fault in earnest.
 command.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """The faults that are planted: in the robot that an engine is given, in how it computes, in the compiled tree."""
 
-from __future__ import annotations
-
 import xml.etree.ElementTree as ET
 from collections.abc import Callable
 from dataclasses import dataclass, replace

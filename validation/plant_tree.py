@@ -5,8 +5,6 @@ A robot's text read wrongly is planted in every engine (`validation.plant`); the
 own: one constant of one joint, the tip, gravity, the links' order.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

@@ -6,8 +6,6 @@ with the parts x of the observation, scales c of their usual size and weights w;
 desired force. As a law it is evaluated once in a control period, and commands the task's own law in between.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path

@@ -4,8 +4,6 @@ The tree is built from the drawn numbers and not from the text, so that reading 
 it. The text has 17 significant digits, from which every engine recovers the same doubles.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 

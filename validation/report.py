@@ -1,7 +1,5 @@
 """The findings of the harness: held together, printed as tables, written as JSON, Markdown or HTML."""
 
-from __future__ import annotations
-
 import json
 import shlex
 from collections.abc import Iterable

@@ -1,7 +1,5 @@
 """Headers and rows of the harness's tables, as text: of a robot's comparison, and of a section of checks."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field
 

@@ -1,7 +1,5 @@
 """The residual of an identity, and the derivatives that an identity takes: by a complex step, or by differences."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any

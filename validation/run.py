@@ -4,8 +4,6 @@ Exit status: 0 everything compared is within its tolerance; 1 something is not, 
 input is at fault (one line on standard error).
 """
 
-from __future__ import annotations
-
 import argparse
 import importlib
 import sys

@@ -3,8 +3,6 @@
 State k of a seed is the same however many are drawn, so that a single one can be looked at again.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Protocol
 

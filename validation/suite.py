@@ -1,7 +1,5 @@
 """What the harness runs: the robots, the random trees, the identities, the published numbers, the slide, the faults."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace

@@ -4,8 +4,6 @@ A tolerance is a named quantity with its argument: which error dominates, and ho
 error is a difference over a scale that is stated with it.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What the reference says of a state: every quantity, its scale, and how far another engine may be from it."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

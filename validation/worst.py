@@ -1,7 +1,5 @@
 """The worst of the errors of many cases, and where it was found."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterable, Mapping
 from typing import TypeVar

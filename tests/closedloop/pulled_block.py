@@ -6,8 +6,6 @@ For the laws without a mode of sticking (dahl, lugre), with an adaptive implicit
 simulator.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -4,8 +4,6 @@ A case that uses more processor time than `MOST_SECONDS` ends its process (the k
 is installed), whatever library it hangs in; so does one that sleeps for `LONGEST`. Another process then goes on.
 """
 
-from __future__ import annotations
-
 import multiprocessing
 import os
 import resource

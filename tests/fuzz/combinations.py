@@ -1,7 +1,5 @@
 """Combinations of keys, each of them valid by itself on a shipped scenario: what one leaves out another may need."""
 
-from __future__ import annotations
-
 import random
 from collections.abc import Iterator
 from copy import deepcopy

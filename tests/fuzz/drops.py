@@ -7,8 +7,6 @@ wrong: a run that stopped, a gap below −1e-9 m, a force outside its cone, ener
 to rest though there is friction and the bounces have had their time.
 """
 
-from __future__ import annotations
-
 import argparse
 import math
 import tempfile

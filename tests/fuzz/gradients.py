@@ -8,8 +8,6 @@ differences to 1e-6, or to what the differences say of themselves, and the worst
 dual numbers. Exit status 1 if one does not agree.
 """
 
-from __future__ import annotations
-
 import argparse
 import logging
 import sys

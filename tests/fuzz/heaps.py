@@ -7,8 +7,6 @@ sank, as a share of the smallest body's size, and what still moves at the end th
 Cylinders touch the floor alone.
 """
 
-from __future__ import annotations
-
 import argparse
 import time
 from collections import Counter

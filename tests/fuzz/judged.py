@@ -6,8 +6,6 @@ when it is written and read again. Most cases are run through `load_scenario` an
 those with odd texts, through the command line, with its files.
 """
 
-from __future__ import annotations
-
 import contextlib
 import io
 import json

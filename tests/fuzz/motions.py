@@ -6,8 +6,6 @@ Two to six bodies in a tree, which hangs on the world by a revolute joint or mov
 ones, with two to twenty contacts of their points against the floor, and of some against planes of other bodies.
 """
 
-from __future__ import annotations
-
 import argparse
 import tempfile
 import time

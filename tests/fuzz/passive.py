@@ -7,8 +7,6 @@ resistances to rolling and pivoting; any integrator. Of each it says if its run 
 its verdict allows, and if that does not say so.
 """
 
-from __future__ import annotations
-
 import argparse
 import time
 from collections import Counter

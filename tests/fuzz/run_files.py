@@ -6,8 +6,6 @@ Clean is a `RunFileError` of one line, or a load that gives what was saved. Anot
 process that ends or does not come back are not.
 """
 
-from __future__ import annotations
-
 import io
 import json
 import os

@@ -8,8 +8,6 @@ later is tried without a word here. One that must be given needs an example in `
     odd_files()              texts that are no scenario
 """
 
-from __future__ import annotations
-
 import datetime
 import math
 import random

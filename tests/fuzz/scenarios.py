@@ -4,8 +4,6 @@ Prints what is not clean, and the counts. It takes some twenty minutes of one pr
 whose name contains TEXT, `--seed N` draws other pairs, `--count N` the first N of the shuffled cases.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import re

@@ -5,8 +5,6 @@ curved and moving surfaces, loops, contacts of links, encoders. With what is not
 `[[contact]]` of a scenario and `[[closed_loop]]` of a robot.
 """
 
-from __future__ import annotations
-
 import random
 import tomllib
 from collections.abc import Iterator

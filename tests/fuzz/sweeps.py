@@ -6,8 +6,6 @@ Each goes through the command line. Clean is exit status 0, or 2 with one line; 
 A table whose bytes are damaged is refused, or has all of its values; a sweep goes on from damaged parts to the same.
 """
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import io

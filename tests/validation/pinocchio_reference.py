@@ -5,8 +5,6 @@ Two conventions of Pinocchio matter here. Its joint order is its own (depth firs
 continuous joint takes two numbers, cos and sin, in q. Both are mapped from joint names.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import pinocchio as pin
 

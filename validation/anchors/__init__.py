@@ -9,8 +9,6 @@ Each problem names its source, each case the argument for its tolerance; the val
 one. Read `problem` first, then `quantities`, which says how an engine is asked.
 """
 
-from __future__ import annotations
-
 from functools import lru_cache
 
 from validation.anchors.asked import Asked, EngineFactory

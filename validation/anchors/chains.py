@@ -4,8 +4,6 @@ All bodies weigh 1 kg, gravity is along −y, and everything falls from rest. Th
 were computed with Featherstone's spatial_v1, RBDL's tests say.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

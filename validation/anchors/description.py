@@ -1,7 +1,5 @@
 """Robots written as URDF from published parameters, in the fields that an engine reads."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """Any engine held against the reference problems."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 
 import numpy as np

@@ -4,8 +4,6 @@ The torques and accelerations in motion are what the C++ that MotionGenesis gene
 tests; Drake compares itself with that code at run time and prints no values.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

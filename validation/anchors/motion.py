@@ -1,7 +1,5 @@
 """Quantities that take time: an engine's own accelerations, integrated tightly."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Pendulums whose motion is known in closed form: IFToMM's simple one and a uniform rod."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from validation.anchors.description import Robot, joint, link, read, robot

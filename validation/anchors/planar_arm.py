@@ -1,7 +1,5 @@
 """The textbook arm of two links: every term in closed form, at rest, in motion, and pressing on a surface."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A point mass on slides: on an inclined plane, and bouncing."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

@@ -1,7 +1,5 @@
 """What a reference problem is, and what a grade is."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType

@@ -17,8 +17,6 @@ the sign of q̇. It is no part of H and C, so `_friction` is subtracted here, fr
 torques put in.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any
 

@@ -5,8 +5,6 @@ Orientations come from positions: beside its tip every robot that is asked for o
 knows only where points are answers for frames as well.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from types import MappingProxyType
 

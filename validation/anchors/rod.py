@@ -1,7 +1,5 @@
 """Painlevé's rod: the geometry at which a sliding contact stops answering a normal force."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from validation.anchors.description import joint, link, read, robot

@@ -6,8 +6,6 @@ The terms are asked of `closedloop.mechanics.robot.tree` alone; q̈ and f of Eq.
 loop itself recorded, so that what is judged is the loop that runs, and not its parts put together anew.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from closedloop.base.errors import ModelError

@@ -8,8 +8,6 @@ others do not, so a run that seems too far away is held against more of them. Wh
 in any engine.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import time as clock
 from collections.abc import Callable, Iterator

@@ -1,7 +1,5 @@
 """A description without everything that engines read differently and that is no part of the mechanism."""
 
-from __future__ import annotations
-
 from xml.etree import ElementTree
 
 import numpy as np

@@ -1,8 +1,6 @@
 # ruff: noqa: D102 - what a method returns is said once, in `interface.Engine`
 """Drake: MultibodyPlant in continuous time, for everything but the closed loop."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any

@@ -1,7 +1,5 @@
 """Drake as its discrete scheme allows: the tip as a small sphere in frictionless, nearly rigid contact."""
 
-from __future__ import annotations
-
 import logging
 import time as clock
 from dataclasses import replace

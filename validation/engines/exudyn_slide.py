@@ -1,7 +1,5 @@
 """Exudyn's own integrator on the slide: a hard constraint in a differential-algebraic system of index 3."""
 
-from __future__ import annotations
-
 import time as clock
 from importlib import import_module
 from typing import Any

@@ -1,8 +1,6 @@
 # ruff: noqa: D102 - what a method returns is said once, in `interface.Engine`
 """The hand-written oracle under the names that all engines have."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from validation.engines.interface import METHODS, CannotBuild, Engine, Robot

@@ -6,8 +6,6 @@ What an engine cannot do it says, method by method and with the reason: `covers`
 every method of `METHODS`, so nothing can be left out in silence.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib.util import find_spec

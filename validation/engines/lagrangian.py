@@ -1,7 +1,5 @@
 """Lagrange's equations of a URDF as polynomials in the cosines and sines of its joints; see `symbolic`."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any

@@ -1,8 +1,6 @@
 # ruff: noqa: D102 - what a method returns is said once, in `interface.Engine`
 """This project's own loop, seen as one engine among the others."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 
 import numpy as np

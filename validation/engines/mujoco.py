@@ -1,8 +1,6 @@
 # ruff: noqa: D102 - what a method returns is said once, in `interface.Engine`
 """MuJoCo: composite rigid bodies of its own, and a soft constraint whose hard limit is extrapolated."""
 
-from __future__ import annotations
-
 from types import MappingProxyType
 from typing import Any
 

@@ -1,7 +1,5 @@
 """MuJoCo driven step by step with the law of the paper, at decreasing softness."""
 
-from __future__ import annotations
-
 import time as clock
 from typing import Any
 

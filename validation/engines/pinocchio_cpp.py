@@ -1,8 +1,6 @@
 # ruff: noqa: D102 - what a method returns is said once, in `interface.Engine`
 """Pinocchio's own C++ algorithms, built from the text by Pinocchio's own reader."""
 
-from __future__ import annotations
-
 from types import MappingProxyType
 from typing import Any
 

@@ -4,8 +4,6 @@ Engines accept constraints that they then ignore: Drake on a continuous plant, M
 Exudyn where its start-up gave up. A probe asks two questions whose answers are known beforehand.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

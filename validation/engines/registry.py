@@ -1,7 +1,5 @@
 """Which engines there are, and which of them can answer for a given robot here and now."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 from validation.engines.compiled import Compiled

@@ -1,8 +1,6 @@
 # ruff: noqa: D102 - what a method returns is said once, in `interface.Engine`
 """The Robotics Toolbox, which the paper names: H by repeated Newton–Euler passes, and the Jacobians of Eqs. 26–27."""
 
-from __future__ import annotations
-
 from importlib import import_module
 from types import MappingProxyType
 from typing import Any

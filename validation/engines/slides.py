@@ -4,8 +4,6 @@ Each comparison says what was compared, how far apart the two were, how far apar
 what order they approach each other. Nothing counts before the engine's constraint was seen to act (`slide_acts`).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any

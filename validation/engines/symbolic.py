@@ -1,8 +1,6 @@
 # ruff: noqa: D102 - what a method returns is said once, in `interface.Engine`
 """The ground truth: Lagrange's equations derived by sympy and evaluated in fifty digits by mpmath."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The whole slide in several engines: what a trajectory is, and the two loops that step as the simulator steps."""
 
-from __future__ import annotations
-
 import time as clock
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

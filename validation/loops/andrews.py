@@ -4,8 +4,6 @@ K1 turns about the origin, driven by a constant torque, and carries K2; K3, K4 o
 points, and all meet K2's end: three loops. A spring draws K3. It is fast: β turns by 16 rad in 0.03 s.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any

@@ -1,7 +1,5 @@
 """What is said of a case: by the oracle, and by both engines of the loop."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any

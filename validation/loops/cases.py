@@ -1,7 +1,5 @@
 """Random states of mechanisms: posture and velocity that close the loops, a torque, and what the tip touches."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any

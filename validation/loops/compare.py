@@ -1,7 +1,5 @@
 """The table of the harness on mechanisms with loops."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial

@@ -1,7 +1,5 @@
 """Exudyn with the loops of a mechanism."""
 
-from __future__ import annotations
-
 from importlib import import_module
 from typing import Any
 

@@ -4,8 +4,6 @@ The loop calls what answers for the loops by its address: a fault in it is a fun
 answer and spoils what it has left in the memory, as the fault in the source would.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from copy import copy
 from dataclasses import dataclass, replace

@@ -4,8 +4,6 @@ It lies flat twice a turn. There N rows are lost at once, each window could go o
 which they go on. As one parallelogram it has one coordinate, the angle of its uprights, whose equation is a pendulum's.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.integrate import solve_ivp
 

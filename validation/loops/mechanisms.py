@@ -1,7 +1,5 @@
 """Mechanisms with loops, as text: planar and spatial ones, some of them with rows that depend on others."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from typing import Any
 

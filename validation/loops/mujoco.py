@@ -1,7 +1,5 @@
 """MuJoCo with the loops of a mechanism."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 from typing import Any
 

@@ -3,8 +3,6 @@
 Each is given the tree and the loop joints as its own kinds of constraint, and finds rows, drift and solution itself.
 """
 
-from __future__ import annotations
-
 from typing import Any, ClassVar
 
 import numpy as np

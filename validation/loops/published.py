@@ -1,7 +1,5 @@
 """Published benchmarks of multibody dynamics that have loops, held against their printed values."""
 
-from __future__ import annotations
-
 import numpy as np
 
 import closedloop as cl

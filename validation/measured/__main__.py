@@ -4,8 +4,6 @@ Exit status: 0 what is published or measured is reproduced; 1 something is not; 
 standard error).
 """
 
-from __future__ import annotations
-
 import argparse
 import importlib
 import json

@@ -1,7 +1,5 @@
 """The measured data that come with the package, or a file of a user in the same format."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from zipfile import BadZipFile

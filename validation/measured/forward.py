@@ -5,8 +5,6 @@ up, and once with a weak spring and damper to the measured path beside them. The
 predict; the second what torque it lacks, where a simulation stays on the path.
 """
 
-from __future__ import annotations
-
 import tempfile
 from pathlib import Path
 

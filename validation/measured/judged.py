@@ -1,7 +1,5 @@
 """What a comparison with measurements found: numbers for a program, and a table for a reader."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any

@@ -15,8 +15,6 @@ I_a of axes 1 and 2 is not told from the link's inertia by any log, and is the p
 J. Weigand, J. Ulmen, A. Janot, M. Ruskowski, Robot_Identification (2021), MIT.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -7,8 +7,6 @@ The published coefficients are those that figaroh-examples gives for this robot 
 others, by least squares without leaving out the changes of sign, so they are no truth, but an independent answer.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

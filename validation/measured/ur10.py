@@ -9,8 +9,6 @@ drive gains: V. Petrone, E. Ferrentino, P. Chiacchio, The dynamic model of the U
 IEEE Trans. Industrial Informatics (2025), doi 10.1109/TII.2025.3534415.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from closedloop.studies.identify.identify import identify

@@ -10,8 +10,6 @@ stabilise it and solve. Two misprints of the paper are put right here: Eq. 12 ha
 nᵀ[ṙ×ᵀ 0] J q̇ beside nᵀJ̇ᵣq̇, which contains it by Eq. 18 (and names the tip k there).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import numpy as np

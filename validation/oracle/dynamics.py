@@ -5,8 +5,6 @@ coordinates at O (see `spatial`). C holds Coriolis, centrifugal *and* gravity te
 linear system take float, complex or object (mpmath) arrays; those that do take float or complex.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from validation.oracle.kinematics import Pose, accelerations, axis_rates, body_velocities

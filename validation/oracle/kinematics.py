@@ -6,8 +6,6 @@ carry no transforms.
 q, v and what follows from them may be float, complex or object (mpmath) arrays.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A loop joint as its type, its two sides and what it bears there."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Protocol
 

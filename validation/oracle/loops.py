@@ -11,8 +11,6 @@ Rows that depend on each other are solved with all others in one system, by sing
 the reaction of least norm.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

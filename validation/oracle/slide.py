@@ -1,7 +1,5 @@
 """The paper's closed loop by hand: law, closure, one dense solve and a semi-implicit Euler step."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -16,8 +16,6 @@ The functions take arrays with leading batch axes and any numeric dtype: float, 
 differentiation) and object holding mpmath numbers (for a reference in as many digits as one likes).
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -9,8 +9,6 @@ along it. v₀ and a₀ are the spatial velocity and acceleration of the surface
 Derivatives of shapes are complex steps of what is written here, not formulas of their own.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

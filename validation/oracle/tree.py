@@ -5,8 +5,6 @@ joint, numbered so that a parent comes before its children (λ(i) < i), exactly 
 Jacobians. `build_tree` makes it from links and joints as a robot description lists them.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 

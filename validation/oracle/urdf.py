@@ -10,8 +10,6 @@ about it:
   `rotation_from_rpy`.
 """
 
-from __future__ import annotations
-
 import io
 from collections.abc import Mapping
 from typing import Any, Protocol

@@ -1,7 +1,5 @@
 """The command: ``python -m validation.speed``. Exit status: 0 measured, whatever came out; 2 bad input."""
 
-from __future__ import annotations
-
 import json
 import sys
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """The slides on which engines race: one law, one step, on arms of two to thirty joints."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

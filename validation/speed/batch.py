@@ -4,8 +4,6 @@ Beside it two threads that do nothing but arithmetic, for what the machine gives
 shared one it may be hardly more than to one, and no batch can be better.
 """
 
-from __future__ import annotations
-
 import time as clock
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace

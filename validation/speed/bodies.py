@@ -5,8 +5,6 @@ columns. In MuJoCo the bodies are boxes, in ours their corners. MuJoCo's contact
 cube ends elsewhere, at rest on the floor as ours does.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any

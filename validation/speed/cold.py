@@ -1,7 +1,5 @@
 """A fresh interpreter, from its start to its first result."""
 
-from __future__ import annotations
-
 import os
 import statistics
 import subprocess

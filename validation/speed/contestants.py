@@ -4,8 +4,6 @@ A contestant is prepared once and then runs laps. A lap gives the seconds that i
 from setting out, and where the arm ended: those that do the whole work must end at the same q.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any

@@ -3,8 +3,6 @@
 A step of a contestant is one of the plain run, so that a ratio says how many plain runs value and derivatives cost.
 """
 
-from __future__ import annotations
-
 import time as clock
 from dataclasses import replace
 

@@ -6,8 +6,6 @@ columns, and its contacts are rigid; MuJoCo's give way: sliding, its box hops on
 contact or none.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numba

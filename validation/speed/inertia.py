@@ -4,8 +4,6 @@ The paper takes Featherstone's composite-rigid-body algorithm for H and calls th
 (1982) easy to implement but computationally expensive. Both here by Pinocchio, so that nothing but the method differs.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import pinocchio as pin
 

@@ -7,8 +7,6 @@ that drags the slider to the plot drawn there. With --pictures FOLDER pictures o
 sizes and both themes.
 """
 
-from __future__ import annotations
-
 import resource
 import sys
 import time as clock

@@ -4,8 +4,6 @@ The mechanism coasts: the law takes weight and Coriolis terms away, and the tip 
 closed to rounding and records all columns; MuJoCo's are soft, and Pinocchio's loop has no stabiliser.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from typing import Any

@@ -5,8 +5,6 @@ median of the ratios of neighbours in time. Beside the wall's time stands the pr
 the share of a core that a contestant got is below one, and ratios are those of the processor's time.
 """
 
-from __future__ import annotations
-
 import gc
 import statistics
 import time

@@ -6,8 +6,6 @@ its tolerance, warm start), bodies that are fixed to each other are one, and isl
 one: that is the quickest of what was tried. MuJoCo's contact is soft, so its numbers are near ours and not the same.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

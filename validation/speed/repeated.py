@@ -4,8 +4,6 @@ A contestant's laps differ from each other, so that nothing that is kept of a la
 that comes to what a run comes to that finds nothing made.
 """
 
-from __future__ import annotations
-
 import time as clock
 from collections.abc import Callable
 from dataclasses import replace

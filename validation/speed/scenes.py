@@ -4,8 +4,6 @@ Both take steps of a millisecond with the same bodies, friction and start; ours 
 end elsewhere in each: what they come to is compared by its height alone.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -5,8 +5,6 @@ turns. So do servers that simulate nothing: they bound what any server reaches w
 processor's time is that of this process alone, so without the client's. No test asserts a time.
 """
 
-from __future__ import annotations
-
 import os
 import socket
 import struct

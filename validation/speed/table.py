@@ -1,7 +1,5 @@
 """What is printed: one table of all rows, one of the targets."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from rich import box

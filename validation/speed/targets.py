@@ -1,7 +1,5 @@
 """What the project wants of its speed, as ratios measured in one run."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

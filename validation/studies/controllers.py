@@ -11,8 +11,6 @@ ended the desired force rises by `FORCE_STEP` within `RISE`. Measured of the tru
     settling          how long after the rise began the force error was last over `BAND`, s; infinite if it still is
 """
 
-from __future__ import annotations
-
 import math
 from itertools import product
 from pathlib import Path

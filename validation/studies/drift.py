@@ -12,8 +12,6 @@ The adaptive scheme has a tolerance in place of h. The study also measures the s
 itself is unstable and puts it beside the theory of `closedloop.mechanics.closure.baumgarte`.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from collections.abc import Iterable, Sequence

@@ -1,7 +1,5 @@
 """What the studies share: a posture, what is measured of a run, and the results as files and as a table."""
 
-from __future__ import annotations
-
 import csv
 import io
 import json

@@ -13,8 +13,6 @@ On a soft surface (Kelvin-Voigt, d = √k N s/m) the same is asked for stiffness
 compensation of friction, so that each law is seen by itself.
 """
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """What is said of a case: by the oracle, by both engines of the loop, and by peers that take a row as it is."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any

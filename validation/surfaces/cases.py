@@ -1,7 +1,5 @@
 """Random states on random surfaces: the shape, its motion, what it is made of, the tool, and a torque."""
 
-from __future__ import annotations
-
 import json
 import xml.etree.ElementTree as ET
 from dataclasses import dataclass

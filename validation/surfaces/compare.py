@@ -1,7 +1,5 @@
 """The tables of the harness on contact with surfaces."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial

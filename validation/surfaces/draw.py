@@ -1,7 +1,5 @@
 """Random cases: shapes, materials and motions take turns, all else is drawn."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

@@ -4,8 +4,6 @@ The loop is compiled: what can be made wrong in it is what it calls and what it 
 forgets a derivative, a motion that does, a stiffness in another unit, an arm without its tool.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any

@@ -10,8 +10,6 @@ last term, which no setting removes: d is at least 1e-4. It is the bound of the 
 MuJoCo's contact is no second solver of ours: on an arm m is not the tip's mass at the state, but one at its zero pose.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 

@@ -1,7 +1,5 @@
 """The limits of contact stand in one record, each with a unit and a reason, and each is used."""
 
-from __future__ import annotations
-
 import ast
 import re
 from pathlib import Path

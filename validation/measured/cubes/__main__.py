@@ -3,8 +3,6 @@
 Exit status: 0 done; 2 the input is at fault (one line on standard error).
 """
 
-from __future__ import annotations
-
 import io
 import json
 import sys

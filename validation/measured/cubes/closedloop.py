@@ -4,8 +4,6 @@ A ball on a plane is its centre on a plane that is higher by the radius; frictio
 the board, instead of on it.
 """
 
-from __future__ import annotations
-
 import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path

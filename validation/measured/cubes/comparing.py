@@ -1,7 +1,5 @@
 """Engines with fitted parameters, judged on tosses that they were not fitted to."""
 
-from __future__ import annotations
-
 import importlib.util
 import json
 import time as clock

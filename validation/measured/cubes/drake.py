@@ -3,8 +3,6 @@
 A box touches a half-space at one point only, so that it could not rest.
 """
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Sequence
 from typing import Any, ClassVar

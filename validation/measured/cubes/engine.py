@@ -1,7 +1,5 @@
 """What a comparison needs of an engine: parameters that may be fitted, and tosses simulated with them."""
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass

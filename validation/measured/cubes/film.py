@@ -1,7 +1,5 @@
 """A measured toss beside the simulated one: a film, and the lab."""
 
-from __future__ import annotations
-
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path

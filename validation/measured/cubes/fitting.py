@@ -1,7 +1,5 @@
 """Parameters of an engine fitted to tosses: for every engine the same tosses, the same optimiser, the same budget."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 

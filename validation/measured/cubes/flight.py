@@ -4,8 +4,6 @@ In the air the centre follows a parabola, and a body with three equal moments of
 velocity, so the rows of the flight give position, velocity, orientation and angular velocity by least squares.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.spatial.transform import Rotation
 

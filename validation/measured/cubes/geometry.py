@@ -5,8 +5,6 @@ over all flights gives the mass's place in the cube and the acceleration of grav
 of a toss the cube lies on one of its six sides.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

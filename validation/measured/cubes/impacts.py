@@ -5,8 +5,6 @@ the normal, e = −v⁺/v⁻, and the change of the centre's velocity, the impul
 corner slides throughout. Neither needs an engine, nor the inertia of the cube.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """The table of `python -m validation.measured cubes`: engines side by side, and the published figures beside."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """MuJoCo: the corners of a cube as balls on a plane, soft contacts with elliptic friction cones."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import ClassVar
 

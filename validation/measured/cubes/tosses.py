@@ -5,8 +5,6 @@ the velocity in the world's, m/s. The board is the plane z = 0. Source: S. Pfrom
 Conference on Robot Learning, 2020; data of DAIRLab, dair_pll, BSD-3.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path

@@ -6,8 +6,6 @@ the logarithms of the numbers. Derivatives do not help it: the largest line of a
 band jump. Intervals are those of the residuals made linear at the minimum.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache

@@ -1,7 +1,5 @@
 """The table of `python -m validation.measured pressing`: each test measured and simulated, and what the fit says."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 from collections.abc import Mapping, Sequence

@@ -5,8 +5,6 @@ poses of the tests from the scripts and settings of the measurements' repository
 public, is fitted: `PARAMETERS`. The tool's own tensor is a guess, that of a body of its size.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from functools import cache
 from typing import ClassVar, NamedTuple

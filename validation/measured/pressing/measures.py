@@ -1,7 +1,5 @@
 """Figures of a force that comes down, swings and settles, of measured and of simulated ones alike."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -4,8 +4,6 @@ The arm is MuJoCo's, from the same URDF. Motors, servo and force mode are writte
 has them. All their numbers are fitted to MuJoCo's own forces, beside those of its contact.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar
 

@@ -4,8 +4,6 @@ TEST is PLACE_F*_g*_v*: where it comes down, the commanded force in N, the gain 
 that the program has, m/s. Time is 0 at the first contact.
 """
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass
 from pathlib import Path

@@ -63,7 +63,7 @@ class JointSpace(Block, sizes=("n", "k")):
     associated: float  # 1: without μ|u_t| n, the least of a convex function (M. Anitescu, Math. Program. 105, 2006)
     given: Annotated[Array, K]  # normal impulse at no speed, N s, or the number of the owner
     falls: Annotated[Array, K]  # and what it is less by with the speed, kg
-    first: Annotated[Array, K]  # of the joints that a contact moves
+    first: Annotated[Array, K]  # of the joints that a contact moves, by their places
     end: Annotated[Array, K]
     X: Annotated[Array, 3 * K, N]
     q: Annotated[Array, 3 * K]  # m/s
@@ -86,6 +86,8 @@ class JointSpace(Block, sizes=("n", "k")):
     step: Annotated[Array, N]
     matrix: Annotated[Array, N, N]
     row: Annotated[Array, 3, N]
+    until: Annotated[Array, N]  # see `eliminate`
+    order: Annotated[Array, N]  # the place of each joint in this problem, see `closedloop.mechanics.contacts.order`
     number: Annotated[Array, K]  # of each among all contacts
     packed_at: Annotated[Array, K]  # and of each of all in the problem, −1 if it takes no part
     residual: float  # as a share of `asked`
@@ -259,41 +261,40 @@ def newton_step_of_joints(s: JointSpace, a: int, n: int, stiffness: float) -> No
         x[j] = -s.off[j]
         for m in range(n):
             M[j, m] = 0.0
-        M[j, j] = 1.0 if s.held == 0.0 else VANISHING
+        M[j, j], s.until[j] = 1.0 if s.held == 0.0 else VANISHING, j + 1.0
     for i in range(a):
+        first = int(s.first[i])
+        s.until[first] = max(s.until[first], s.end[i])
         add_rows(s, i, i, rho_of(s, i, stiffness))
         if s.normal[i] == OWNED:
             owner = int(s.given[i])
             add_rows(s, i, owner, rho_of(s, owner, stiffness))
-    eliminate(M, x, n)
+    eliminate(M, x, s.until, n)
 
 
 @kernel
-def eliminate(M: Array, x: Array, n: int) -> None:
-    """Solve M x = b, with b in x (n,), by Gauss's elimination with partial pivots; M (n, n) is overwritten."""
+def eliminate(M: Array, x: Array, until: Array, n: int) -> None:
+    """Solve M x = b, with b in x (n,), by elimination without pivots; M (n, n) and `until` (n,) are overwritten.
+
+    Row and column j of M have no entries from `until[j]` on, or from where those of a row before it end. What has no
+    pivot is left out. M is that of a positive definite form, or a round that has no use of its solution is taken back.
+    """
+    end = 0
     for k in range(n):
-        pivot = k
-        for i in range(k + 1, n):
-            if abs(M[i, k]) > abs(M[pivot, k]):
-                pivot = i
-        top = row_of(M, k)
-        if pivot != k:
-            other = row_of(M, pivot)
-            for j in range(k, n):
-                top[j], other[j] = other[j], top[j]
-            x[k], x[pivot] = x[pivot], x[k]
+        end = max(end, int(until[k]))
+        until[k], top = end, row_of(M, k)
         inverse = 1.0 / top[k] if top[k] != 0.0 else 0.0
-        for i in range(k + 1, n):
+        for i in range(k + 1, end):
             row = row_of(M, i)
             share = row[k] * inverse
             if share == 0.0:
                 continue
-            for j in range(k + 1, n):
+            for j in range(k + 1, end):
                 row[j] -= share * top[j]
             x[i] -= share * x[k]
     for i in range(n - 1, -1, -1):
         row, left = row_of(M, i), x[i]
-        for j in range(i + 1, n):
+        for j in range(i + 1, int(until[i])):
             left -= row[j] * x[j]
         x[i] = left / row[i] if row[i] != 0.0 else 0.0
 

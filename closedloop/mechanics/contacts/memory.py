@@ -80,6 +80,8 @@ class Moves(Block, sizes=("k",)):
 
     first: Annotated[Array, K]  # of whole groups, see `closedloop.mechanics.robot.tree.group_ends`
     end: Annotated[Array, K]  # one more than the last
+    upto: Annotated[Array, K]  # of two groups, where the first ends, and the second begins; of one its end, and first
+    again: Annotated[Array, K]
     dry: Annotated[Array, K]  # 1 if one of its groups has joints with dry friction
 
 
@@ -314,7 +316,7 @@ def make_contact_memory(
         (turns.pivoting if pivots else turns.rolling)[owner] = i
     contacts.past_edge[k - joints :] = 1.0
     links.rows = 0 if rows is None else rows.address
-    contacts.moves.end[:], contacts.moves.dry[:] = n, 1.0 if joints > 0 else 0.0
+    contacts.moves.end[:], contacts.moves.upto[:], contacts.moves.dry[:] = n, n, 1.0 if joints > 0 else 0.0
     contacts.direction[:, 0], contacts.near[:], contacts.inside[:] = 1.0, 1.0, np.inf
     contacts.step.reach, contacts.gaps.extent[:] = HOVERING, np.inf
     links.keep_alive(rows=rows)

@@ -272,7 +272,9 @@ def drop_contradictions(c: Contacts, k: int) -> None:
             M[t, m] = 0.0
             for r in range(p):
                 M[t, m] += S[t, r] * moved[m, r]
-    eliminate(M, x, rank)
+    for m in range(rank):
+        s.until[m] = rank
+    eliminate(M, x, s.until, rank)
     for r in range(p):
         left = 0.0
         for m in range(rank):

@@ -41,6 +41,7 @@ from closedloop.mechanics.contacts.joint_space import (
     start_at_rest,
 )
 from closedloop.mechanics.contacts.memory import INSIDE, ContactLinks, Contacts, joints_of
+from closedloop.mechanics.contacts.order import order_joints
 from closedloop.mechanics.contacts.resistance import is_resistance
 from closedloop.mechanics.contacts.soft import force_at, soft_gap
 from closedloop.mechanics.limits import AHEAD, FOUND, HALVINGS, HOVERING, STIFF, TENTH, TURNED
@@ -70,6 +71,7 @@ def begin_step(links: ContactLinks, c: Contacts, load: Array, h: float, rest_spe
         Below which contacts without one of their own do not rebound, m/s.
     """
     s, n = c.stepping, links.n
+    order_joints(c, s, links.k, n)
     a = write_problem(links, c, load, h, rest_speed, 1.0)
     s.associated = s.alike = 0.0
     found = a == 0 or solve_step(s, a, n)
@@ -154,13 +156,13 @@ def put_back(links: ContactLinks, c: Contacts, a: int, h: float) -> None:
         start_at_rest(s, a, links.n)
         do_round(s, a, links.n, STIFF)
         for j in range(links.n):
-            c.step.shift[j] = h * s.y[j]
+            c.step.shift[j] = h * s.y[int(s.order[j])]
 
 
 @kernel
 def write_problem(links: ContactLinks, c: Contacts, load: Array, h: float, rest_speed: float, share: float) -> int:
     """Write the contacts that take part, packed, with rebounds times `share`; return their number."""
-    s, a, gained = c.stepping, 0, 0.0
+    s, a, n, gained = c.stepping, 0, links.n, 0.0
     s.asked = 0.0
     for i in range(links.k):
         s.packed_at[i] = -1.0
@@ -171,12 +173,19 @@ def write_problem(links: ContactLinks, c: Contacts, load: Array, h: float, rest_
             continue
         s.number[a], s.mu[a] = i, c.mu[i]
         first, end = joints_of(c, i)
-        s.first[a], s.end[a], s.mobility[a] = first, end, 0.0
+        low, high = n, 0
+        for j in range(first, end):
+            if c.X[3 * i, j] != 0.0 or c.X[3 * i + 1, j] != 0.0 or c.X[3 * i + 2, j] != 0.0:
+                low, high = min(low, int(s.order[j])), max(high, int(s.order[j]) + 1)
+        s.first[a], s.end[a], s.mobility[a] = low, high, 0.0
         for r in range(3):
             from_row, to_row, square, growth = row_of(c.X, 3 * i + r), row_of(s.X, 3 * a + r), 0.0, 0.0
+            for j in range(low, high):
+                to_row[j] = 0.0
             for j in range(first, end):
                 x = from_row[j]
-                to_row[j] = x
+                if x != 0.0:
+                    to_row[int(s.order[j])] = x
                 square += x * x
                 growth += x * load[j]
             s.mobility[a] = max(s.mobility[a], square)

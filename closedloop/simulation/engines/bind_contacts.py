@@ -223,8 +223,9 @@ def write_joints(
         contacts.moves.dry[i] = held > 0 and not np.all(robot.model.of_bodies[begin:end])
         if held == 0 and len(stops) == 0:
             contacts.moves.first[i], contacts.moves.end[i] = begin, end
+            contacts.moves.upto[i], contacts.moves.again[i] = ends[begin], first[end - 1]
     for i, (owner, _, _) in enumerate(turns, 1 + rows // 3):
-        for each in (contacts.moves.first, contacts.moves.end, contacts.moves.dry):
+        for each in (getattr(contacts.moves, name) for name in ("first", "end", "upto", "again", "dry")):
             each[i] = each[owner]
 
 

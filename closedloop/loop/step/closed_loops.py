@@ -80,13 +80,13 @@ def find_required_on_the_way(links: LoopLinks, rows: LoopRows, L: Array, q: Arra
     found = interpolate_part(links, rows, L, q, v, known if lost else links.rank, share)
     if found and lost:  # the direction that is lost here is that of a state close by
         close_beside(links, rows, q, v, ASIDE)
-        find_basis(links, rows, L, rows.near_q, rows.near_v)
+        find_basis(links, rows, L, rows.near.q, rows.near.v)
     else:
         find_required(links, rows, L, q, v)
     if found:
-        take_free(links, rows, rows.near_part)  # what the rows determine, so that reactions account for all of it
+        take_free(links, rows, rows.near.part)  # what the rows determine, so that reactions account for all of it
         for j in range(links.n):
-            rows.part[j] = rows.near_part[j]
+            rows.part[j] = rows.near.part[j]
 
 
 @kernel
@@ -94,9 +94,9 @@ def close_beside(links: LoopLinks, rows: LoopRows, q: Array, v: Array, way: floa
     """Write the state near_q, near_v at a way, rad or m, along the velocity, closed; return the error left."""
     n = links.n
     for j in range(n):
-        rows.near_q[j], rows.near_v[j] = q[j], v[j]
-    move_posture(tree_at(links), rows.near_q, v, way / math.sqrt(dot(v, v, n)))
-    return close_state(links, rows, rows.near_q, rows.near_v)
+        rows.near.q[j], rows.near.v[j] = q[j], v[j]
+    move_posture(tree_at(links), rows.near.q, v, way / math.sqrt(dot(v, v, n)))
+    return close_state(links, rows, rows.near.q, rows.near.v)
 
 
 @kernel
@@ -114,16 +114,16 @@ def interpolate_part(links: LoopLinks, rows: LoopRows, L: Array, q: Array, v: Ar
     if links.frames > 0 or not dot(v, v, links.n) > 0.0:
         return False
     for j in range(links.n):
-        rows.near_part[j] = 0.0
+        rows.near.part[j] = 0.0
     for steps in (-2, -1, 1, 2):
         links.known = rank
         left = close_beside(links, rows, q, v, steps * WAY)
-        find_required(links, rows, L, rows.near_q, rows.near_v)
+        find_required(links, rows, L, rows.near.q, rows.near.v)
         if links.rank != rank or not left <= TOLERANCE or not smallest_share(links, rows) > FARTHER * share:
             return False
         weight = (4.0 if abs(steps) == 1 else -1.0) / 6.0
         for j in range(links.n):
-            rows.near_part[j] += weight * rows.part[j]
+            rows.near.part[j] += weight * rows.part[j]
     return True
 
 

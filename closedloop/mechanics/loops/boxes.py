@@ -53,7 +53,7 @@ def touch_boxes(p: BoxPair) -> tuple[int, float]:
         for j in range(3):
             A = row_of(p.axes_a, j)
             R[i, j] = B[0] * A[0] + B[1] * A[1] + B[2] * A[2]
-    slight, best, axis = SLIGHT * min(a[0], a[1], a[2], b[0], b[1], b[2]), -math.inf, 0
+    slight, best, axis = SLIGHT * min(a[0] + a[1] + a[2], b[0] + b[1] + b[2]), -math.inf, 0
     for i in range(3):
         apart = abs(t[i]) - b[i] - a[0] * abs(R[i, 0]) - a[1] * abs(R[i, 1]) - a[2] * abs(R[i, 2])
         if apart > best + slight:

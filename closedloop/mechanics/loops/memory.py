@@ -47,6 +47,14 @@ class LoopLinks(Block):
     moved: int  # address of entry and memory of each
 
 
+class NearBy(Block, sizes=("n",)):
+    """A state near by, see `closedloop.loop.step.closed_loops`."""
+
+    q: Annotated[Array, N]
+    v: Annotated[Array, N]
+    part: Annotated[Array, N]
+
+
 class LoopRows(Block, sizes=("n", "m")):
     """What the rows bind, and what they are at a state (q, q̇) of n joints."""
 
@@ -91,9 +99,7 @@ class LoopRows(Block, sizes=("n", "m")):
     motions: Annotated[Array, 2, 18]  # scratch: see `closedloop.mechanics.loops.rows`, as the next
     directions: Annotated[Array, 3, 9]  # of the rows of a point, with their first and second derivatives
     pair: BoxPair  # that was located last
-    near_q: Annotated[Array, N]  # scratch, as all that follow: a state near by, see `closedloop.loop.step.closed_loops`
-    near_v: Annotated[Array, N]
-    near_part: Annotated[Array, N]
+    near: NearBy  # scratch, as what follows
     column: Annotated[Array, N]
 
 

@@ -313,9 +313,11 @@ def bind_rows(sections: tuple[ContactSection, ...], robot: Robot) -> Bound:
         origin = section.through if flat or section.edge or section.box else (0.0, 0.0, 0.0)
         b, axes, plane = placed_on_link(robot, poses, section.against, origin, f"contact {name!r}: against")
         frame = contact_frame(unit(section.normal, f"contact {name!r}: normal")) if flat else np.eye(3)
-        box = section.box
-        halves = (np.array(box.half), np.array(box.onto)) if box else (np.eye(3), np.eye(3))
-        own, other = (h / np.linalg.norm(h, axis=1, keepdims=True) for h in halves)
+        box, halves = section.box, np.zeros((2, 3, 3))
+        if box is not None:
+            halves[:] = box.half, box.onto
+        lengths = np.linalg.norm(halves, axis=2)
+        own, other = halves / np.where(lengths > 0.0, lengths, 1.0)[..., None]
         for k in range(3):
             kind = POSITION if box is None else BOXES
             sides.append((kind, a, b, int(k > 0 or (box is not None and box.point > 0))))
@@ -323,7 +325,7 @@ def bind_rows(sections: tuple[ContactSection, ...], robot: Robot) -> Bound:
             at_b.append(plane)
             along.append(axes @ (frame[k] if box is None else other[k]))
             along_a.append(turn @ own[k])
-            half.append(np.pad(np.linalg.norm(halves[min(k, 1)], axis=1), (0, 2)))
+            half.append(np.pad(lengths[min(k, 1)], (0, 2)))
     m = len(sides)
     kinds = np.array(sides, dtype=np.int64).reshape(m, 4).T.ravel()
     points_a, points_b, directions = (np.array(rows, dtype=np.float64).reshape(m, 3) for rows in (at_a, at_b, along))

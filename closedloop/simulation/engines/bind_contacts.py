@@ -449,6 +449,10 @@ def placed_contacts(scenario: Scenario, robot: Robot, on: ContactRows, q: Array)
                 thrown = section.compliance.thrown_out(-gap, largest_mobility(H, n[None] @ rows))
                 if not thrown:
                     continue
+            if section.box is not None:
+                raise ScenarioError(
+                    f"contact {name!r}: the boxes start {-gap:.4g} m inside each other{thrown}: move one away"
+                )
             raise ScenarioError(
                 f"contact {name!r}: the {what} starts {-gap:.4g} m inside the surface{thrown}: "
                 "start it outside, or move the surface with through"

@@ -142,3 +142,11 @@ def test_boxes_of_a_contact_are_given_whole():
             cl.simulate(run.scenario.model_copy(update={"contact": tuple(wrong)}))
     with pytest.raises(cl.ScenarioError, match=r"box: must be left out; time.integrator = 'time_stepping' has it"):
         cl.simulate(run.scenario.replace({"time.integrator": "rk4"}))
+
+
+def test_boxes_that_start_inside_each_other_are_refused():
+    """In one line that says by how much."""
+    scenario = scenario_of("stack_3")
+    low = scenario.body[1].model_copy(update={"position": (0.0, 0.0, 0.15)})
+    with pytest.raises(cl.ScenarioError, match=r"the boxes start 0\.002 m inside each other: move one away"):
+        cl.simulate(scenario.model_copy(update={"body": (scenario.body[0], low, scenario.body[2])}))

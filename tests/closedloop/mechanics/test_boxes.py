@@ -9,6 +9,8 @@ from scipy.spatial.transform import Rotation
 
 import closedloop as cl
 from closedloop.jit.interpreted import interpreted
+from closedloop.mechanics.contacts.memory import make_contact_memory
+from closedloop.mechanics.contacts.order import order_joints
 from closedloop.mechanics.loops.boxes import BoxPair, touch_boxes
 from closedloop.record.columns.touching import contact_torques
 from robot_models.coordinates import in_pinocchios_order
@@ -150,3 +152,23 @@ def test_boxes_that_start_inside_each_other_are_refused():
     low = scenario.body[1].model_copy(update={"position": (0.0, 0.0, 0.15)})
     with pytest.raises(cl.ScenarioError, match=r"the boxes start 0\.002 m inside each other: move one away"):
         cl.simulate(scenario.model_copy(update={"body": (scenario.body[0], low, scenario.body[2])}))
+
+
+def test_bodies_that_touch_stand_near_each_other():
+    """The order of the joints keeps bodies whole; of a row of bodies, numbered at random, each is beside the next."""
+    for seed in range(30):
+        rng = np.random.default_rng(seed)
+        bodies, row = int(rng.integers(2, 9)), seed % 2 == 0
+        names = rng.permutation(bodies)
+        pairs = [(names[i], names[i + 1]) for i in range(bodies - 1)] if row else rng.integers(0, bodies, size=(7, 2))
+        memory = make_contact_memory(6 * bodies, len(pairs))
+        moves = memory.contacts.moves
+        for i, (one, other) in enumerate(np.sort(pairs, axis=1)):
+            moves.first[i], moves.upto[i], moves.again[i], moves.end[i] = 6 * np.array([one, one + 1, other, other + 1])
+        memory.contacts.near[:] = 1.0
+        interpreted(order_joints)(memory.contacts, memory.contacts.stepping, len(pairs), 6 * bodies)
+        places = memory.contacts.stepping.order.reshape(bodies, 6)
+        assert np.array_equal(np.sort(places, axis=None), np.arange(6 * bodies))
+        np.testing.assert_array_equal(np.diff(places, axis=1), 1.0)
+        if row:
+            assert all(abs(places[one, 0] - places[other, 0]) == 6.0 for one, other in pairs)

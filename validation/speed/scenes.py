@@ -13,7 +13,7 @@ from closedloop.simulation.simulate import run_loop
 from validation.oracle.spatial import Array
 from validation.speed.contestants import CONES, Contestant, mj_step_with
 
-SCENES = ("stack_3", "dominoes", "can", "bin_4", "bin_8")
+SCENES = ("stack_3", "dominoes", "can", "bin_4", "bin_8", "bin_20")
 STEPS, STEP, FRICTION, WALL = 1500, 1e-3, 0.5, 0.15
 FLOOR = ([0.0, 0.0, 1.0], [0.0, 0.0, 0.0])
 # How far the middle of a body may be from where it is in ours, m: where it falls its end is another.

@@ -169,7 +169,7 @@ def test_targets_are_judged_on_the_right_side():
     none = (None, None)
     assert found == [
         (16.0, True), (4.0, False), none, none, (0.75, False), (1.5, False), (2.0, False), *[none] * 8, (5.0, False),
-        (1.5, True), *[none] * 15,
+        (1.5, True), *[none] * 16,
     ]  # fmt: skip
     both = [("compiled", 4.0, 10.0), ("algorithms", 8.0, 20.0)]
     chains = {

@@ -196,7 +196,7 @@ def test_command_writes_valid_json(tmp_path, capsys):
         assert row["seconds_per_step"] == np.median(row["laps"])
         joint = row["processor_seconds_per_step"] / row["joints"]
         assert joint == row["processor_seconds_per_step_and_joint"] == np.median(row["processor_laps"]) / row["joints"]
-    assert len(data["targets"]) == 32
+    assert len(data["targets"]) == 33
     assert data["targets"][-1]["measured"] is None  # no mechanisms and no chains in this run
     assert data["cold_start_seconds"] == {}
 

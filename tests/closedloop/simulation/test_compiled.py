@@ -75,7 +75,7 @@ def test_changed_source_gets_another_cache(tmp_path):
     for comment in ("", "\n# changed\n"):
         folder = tmp_path / f"copy{len(comment)}"
         for package in ("closedloop", "robot_models"):
-            for file in (ROOT / package).rglob("*.py"):
+            for file in [*(ROOT / package).rglob("*.py"), *(ROOT / package).rglob("*.pyi")]:
                 copy = folder / file.relative_to(ROOT)
                 copy.parent.mkdir(parents=True, exist_ok=True)
                 copy.write_bytes(file.read_bytes())

@@ -150,7 +150,6 @@ def project(H: Array, w: Work, constants: Constants, state: State) -> int:
 @kernel
 def project_contacts(w: Work, constants: Constants, state: State) -> int:
     """Do `project` for all contacts that are closed, where they are solved together."""
-    n = w.q.shape[0]
     links, c = contacts_at(state.contacts.at)
     state.status = ask_contacts(state, CLOSE_GAPS)
     if state.status != OK:
@@ -159,11 +158,7 @@ def project_contacts(w: Work, constants: Constants, state: State) -> int:
     if after_event and too_far(links, c, w):
         links.moved = 0
     if links.moved != 0 and state.projection.moves < REFINEMENTS:
-        if state.settings.balls == 0:
-            for j in range(n):
-                w.q[j] += w.scratch.column[j]
-        else:
-            move(w, constants)
+        move(w, constants)
         state.projection.moves += 1
         request_terms(state, PROJECTION)
         return NEED_TERMS
@@ -171,7 +166,7 @@ def project_contacts(w: Work, constants: Constants, state: State) -> int:
         state.status = ask_contacts(state, CLOSE_RATES)
         if state.status != OK:
             return FAIL
-        for j in range(n):
+        for j in range(w.v.shape[0]):
             w.v[j] += w.scratch.column[j]
     request_terms(state, state.projection.next_phase)
     return NEED_TERMS

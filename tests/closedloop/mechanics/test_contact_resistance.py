@@ -11,7 +11,7 @@ from closedloop.jit.interpreted import interpreted
 from closedloop.loop.step.contact_rows import locate_points
 from closedloop.mechanics.contacts.given_modes import find_inside
 from closedloop.mechanics.contacts.memory import CONE, OFF, RAY, make_contact_memory
-from closedloop.mechanics.contacts.resistance import form_of_resistance
+from closedloop.mechanics.contacts.resistance import add_turning, form_of_resistance, square_of_turning
 from closedloop.mechanics.contacts.turning import write_bound
 from closedloop.record.columns.touching import contact_torques
 from closedloop.scenario.load import parse_scenario
@@ -247,6 +247,18 @@ def test_a_resistance_that_turns_about_one_axis_alone_takes_part():
     for first, second, owner, form in ((0, 1, CONE, CONE), (1, 0, CONE, CONE), (0, 0, CONE, OFF), (1, 1, OFF, OFF)):
         c.S[2, 1, 1], c.S[2, 2, 2], c.problem.form[1] = first, second, owner
         assert interpreted(form_of_resistance)(c, 2, CONE) == form
+
+
+@pytest.mark.parametrize("pivots", [RAY, CONE, OFF])
+def test_moments_in_a_known_direction_go_with_the_normal_force(pivots):
+    """−along f of both axes; one that holds what it can takes the normal force alone, an open one nothing."""
+    _, c = make_contact_memory(6, 4, resistances=((1, 0.01, False), (1, 0.02, True)))
+    c.problem.form[:], c.problem.along[:] = [OFF, RAY, RAY, pivots], [(9.0, 9.0), (9.0, 9.0), (0.6, -0.8), (0.5, 0.25)]
+    force, slides = np.arange(12.0), pivots == RAY
+    interpreted(add_turning)(c, 1, 2.0, force)
+    added = [0.0] * 6 + [2.0, -1.2, 1.6] + [2.0 * (pivots != OFF), -1.0 * slides, -0.5 * slides]
+    np.testing.assert_allclose(force, np.arange(12.0) + added, rtol=1e-15)
+    assert interpreted(square_of_turning)(c, 1) == pytest.approx(1.0 + slides * 0.3125)
 
 
 def test_a_ball_on_a_turntable_is_carried_to_rest_on_it():

@@ -37,6 +37,7 @@ class ContactFaults(NamedTuple):
     names: tuple[str, ...]  # what they are called
     cone: Array  # (k,): the largest |F_t| − μ f, and −f, N; not below zero
     complementarity: Array  # (k,): the largest |f| times the gap, N m; zero of a soft one
+    depth: Array  # (k,): how deep one that presses is in its surface at most, m; zero of a soft one
 
 
 def lost_to_slips(time: Array, frictions: Array, slips: Array) -> float:
@@ -62,7 +63,8 @@ def contact_faults(run: Record) -> ContactFaults | None:
     if steps_impulses(run.scenario.time.integrator):  # whose forces go with the gaps at the step's end
         f, gaps = f[:-1], gaps[1:]
     missed = np.max(np.abs(f * gaps * ~soft), axis=0, initial=0.0)
-    return ContactFaults(names_of(sections), np.max(np.maximum(outside, 0.0), axis=0), missed)
+    depth = np.max(np.where((f > 0.0) & ~soft, -gaps, 0.0), axis=0, initial=0.0)
+    return ContactFaults(names_of(sections), np.max(np.maximum(outside, 0.0), axis=0), missed, depth)
 
 
 def share_not_determined(run: Record) -> tuple[float, int, int] | None:
@@ -124,7 +126,7 @@ def contact_rows(run: Record) -> list[tuple[str, str, str, str]]:
     if found is None:
         return []
     largest = np.max(run.link_forces, axis=0)
-    most, cone, product = (int(np.argmax(part)) for part in (largest, found.cone, found.complementarity))
+    most, cone, product, deep = (int(np.argmax(part)) for part in (largest, *found[1:]))
     shares = share_not_determined(run)
     said = []
     if shares is not None:
@@ -136,6 +138,7 @@ def contact_rows(run: Record) -> list[tuple[str, str, str, str]]:
         ("contacts: largest force", f"{largest[most]:.4g}", "N", found.names[most]),
         ("contacts: outside the cone", f"{found.cone[cone]:.1g}", "N", found.names[cone]),
         ("contacts: force times gap", f"{found.complementarity[product]:.1g}", "N m", found.names[product]),
+        ("contacts: depth in a rigid surface", f"{found.depth[deep]:.1g}", "m", found.names[deep]),
     ]
 
 

@@ -3,8 +3,8 @@
     PYTHONPATH=.:tests/fuzz python tests/fuzz/passive.py --count 1000 --seed 0
 
 Cans and coins near their ends, boxes and balls; rigid and soft, with restitution, friction and
-resistances to rolling and pivoting; any integrator. Of each it says if its run stopped, if its energy grew by more than a
-share of what it lost, and if its verdict is good all the same.
+resistances to rolling and pivoting; any integrator. Of each it says if its run stopped, if its energy grew by more than
+a share of what it lost, and if its verdict is good all the same.
 """
 
 import argparse

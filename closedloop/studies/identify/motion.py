@@ -109,6 +109,18 @@ def between_counts(q: Array) -> Array:
     return found
 
 
+def low_passed(q: Array, cutoff: float, step: float) -> Array:
+    """Return columns (N, n) without what is above the cutoff, Hz, and without lag."""
+    return np.asarray(signal.sosfiltfilt(signal.butter(4, 2.0 * cutoff * step, output="sos"), q, axis=0))
+
+
+def counted_from_elsewhere(q: Array, size: Array, draw: np.random.Generator) -> Array:
+    """Return positions (N, n) as encoders of this size of a count (n,) have them, 0 for none, with counts that begin
+    anywhere."""
+    begin, unit = draw.uniform(size=len(size)) * size, np.where(size > 0.0, size, 1.0)
+    return np.where(size > 0.0, np.round((q + begin) / unit) * unit - begin, q)
+
+
 def half_of(q: Array, k: int) -> Array:
     """Return positions (N, n) of every other row, from row k on, with those of the rows between from a cubic."""
     known = np.arange(k, len(q), 2)
@@ -173,7 +185,7 @@ def motion(log: Log, cutoff: float, half: int | None = None) -> Motion:
             "50 are needed; take a longer log, or a higher cutoff"
         )
     q = between_counts(log.q) if half is None else half_of(log.q, half)
-    filtered = signal.sosfiltfilt(signal.butter(4, 2.0 * cutoff * step, output="sos"), q, axis=0)
+    filtered = low_passed(q, cutoff, step)
     v = np.gradient(filtered, step, axis=0)
     a = np.gradient(v, step, axis=0)
     at = edge + (stride - 1) // 2 + stride * np.arange(count * size)

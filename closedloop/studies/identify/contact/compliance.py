@@ -5,7 +5,8 @@ and how late the force is read.
 
 Small delays enter as τ k n·ṙ + τ c n·r̈: beside damping a delay is told by the acceleration alone. It is found by
 steps of Gauss and Newton, each a linear fit with the positions of every other row as instruments for those between.
-Positions that encoders count are those between their counts (`closedloop.studies.identify.motion.between_counts`).
+Positions that encoders count are those between their counts (`closedloop.studies.identify.motion.between_counts`);
+what these leave is no noise, and is in the intervals by `closedloop.studies.identify.contact.identify_contact`.
 
 Friction of a tip that slides on a plane: Coulomb's and a viscous part.
 
@@ -105,11 +106,6 @@ def compliance_of(windows: Windows, sensor: Sensor, z: float) -> Part:
         return one(W, force(value), used, Z).value
 
     covariance = found.covariance + spread(solved, read(late), sensor.covariance)
-    if touch.counted:
-        # Errors of a count are not independent in both halves: where a joint turns it is the same count of either. As
-        # long as they are alike by less than a half, what they bias is less than least squares differ by.
-        most = one(W, y, used).value - found.value
-        covariance = covariance + np.outer(most, most) / 3.0  # as if anything within ± that were as likely
     part.estimates = _estimates(found, covariance, late, middle, sensor, z)
     deep = odd[:, 0].max() - odd[:, 0]  # from the highest point of the contact
     extra = {

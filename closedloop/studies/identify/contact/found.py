@@ -55,7 +55,6 @@ class Touch:
     force: Array | None
     # the same of positions between the counts of encoders: of all rows, and of every other row, see `half_of`
     between: tuple[Array, Array, Array]
-    counted: bool  # whether the positions are counts of encoders
     axes: Array  # (N, 3, 3): columns: the axes of the tip's frame, in those of the base
     normal: Array  # (3,): of the plane, out of it
     # free, closed: (N,) bool: rows in which the tip touches nothing for sure, and touches for sure. Neither without a
@@ -84,7 +83,6 @@ class Touch:
 def touch_of(recording: Recording, robot: Robot, normal: Array) -> Touch:
     """Return where the tip of a recording is, and when it touches a plane."""
     time, q, force = recording.time, recording.positions, recording.force
-    counted = bool(motion.count_of(q).any())
     ways = [q, motion.between_counts(q), motion.half_of(q, 0), motion.half_of(q, 1)]
     stride = -(-len(time) // motion.EVALUATIONS)
     if stride > 1:
@@ -96,7 +94,7 @@ def touch_of(recording: Recording, robot: Robot, normal: Array) -> Touch:
     none = np.zeros(len(time), dtype=bool)
     forces = None if force is None else force.reshape(len(time), -1)
     between = (whole, even, odd)
-    touch = Touch(time, position, forces, between, counted, poses[0][0], normal, none, none, recording.source)
+    touch = Touch(time, position, forces, between, poses[0][0], normal, none, none, recording.source)
     return touch if forces is None else _told(touch)
 
 
@@ -127,7 +125,7 @@ def touch_of_speed(recording: Recording, normal: Array) -> Touch:
     axes, none = np.broadcast_to(np.eye(3), (len(time), 3, 3)), np.zeros(len(time), dtype=bool)
     place = np.outer(height, normal)
     between = place, motion.half_of(place, 0), motion.half_of(place, 1)
-    return _told(Touch(time, place, force[:, None], between, False, axes, normal, none, none, recording.source))
+    return _told(Touch(time, place, force[:, None], between, axes, normal, none, none, recording.source))
 
 
 def _averaged(x: Array, stride: int) -> Array:

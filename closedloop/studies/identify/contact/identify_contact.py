@@ -8,8 +8,8 @@ interval comes from how much the impacts scatter, or from the noise if that is m
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from textwrap import wrap
 from typing import TYPE_CHECKING, Any
@@ -24,10 +24,12 @@ from closedloop.base.errors import ModelError
 from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.record.run import Run
 from closedloop.studies.comparison.recording import Recording, checked, read_recording
+from closedloop.studies.identify import motion
 from closedloop.studies.identify.contact.compliance import NAMES, compliance_of, friction_of
 from closedloop.studies.identify.contact.found import (
     Part,
     Sensor,
+    Touch,
     Windows,
     beside_torques,
     of_free_rows,
@@ -57,6 +59,8 @@ LENGTHS, AGREE, AT_MOST = (8, 11, 15, 20, 27, 36, 48, 64), 0.5, 3.0
 FEWEST, GUARD = LENGTHS[0], 2
 # A kink is a change of the rate of so many deviations; half the rows have to find this share of it.
 SURE, SHARP = 12.0, 0.8
+# From so many beginnings the counts of encoders are drawn: their mean square is known to a third.
+BEGINNINGS = 5
 # Impacts that a dependence on the speed needs, how sure it has to be, and how much of e at least.
 IMPACTS, LIKELY, MATTERS = 5, 4.0, 0.02
 
@@ -365,26 +369,13 @@ def identify_contact(
         raise LogError(f"{recording.source}: the robot rests: no joint moves, nothing can be found")
     parts: list[Part] = []
     if touch.force is not None:
-        windows = Windows.of(touch, cutoff)
-        gravity = np.asarray(model.pinocchio_model().gravity.linear)
-        sensor = of_free_rows(windows, gravity, z)
-        beside = beside_torques(recording, mechanics, touch, cutoff, z)
-        if delay is not None:
-            sensor.read_late(delay, 0.0)
-        surface = compliance_of(windows, sensor, z)
-        if delay is None:
-            late = [e for e in (*beside.estimates, *surface.estimates) if "delay" in e.name and not e.why]
-            _read_late(sensor, late, z)
-            if any(e.name == "sensor_delay" for e in late):  # which tells damping and delay apart
-                own = [e for e in surface.estimates if e.name == "delay" and not e.why]
-                surface = compliance_of(windows, sensor, z)
-                surface.estimates += own
-        if recording.q is None:
-            why = "the log has no positions: its heights are those above the first row"
-            surface.estimates = [
-                unknown(e.name, e.unit, why) if e.name == "surface_offset" else e for e in surface.estimates
-            ]
-        parts = [sensor.part, beside, surface, friction_of(windows, sensor, z)]
+        parts, at = _beside_force(recording, mechanics, touch, cutoff, delay, z)
+        if recording.q is not None:
+
+            def again(other: Recording) -> list[Part]:
+                return _beside_force(other, mechanics, touch_of(other, mechanics, out), at, delay, z)[0]
+
+            _allow_for_counts(recording, parts, at, z, again)
     else:
         why = "the log has no force: name its columns, as in force=fx,fy,fz"
         units = (("friction", "1"), ("viscous_friction", "N s/m"), *NAMES)
@@ -392,6 +383,61 @@ def identify_contact(
     parts.append(restitution_of(touch.time, touch.height, confidence))
     closed, free = (float(np.mean(rows)) for rows in (touch.closed, touch.free))
     return ContactIdentification(tuple(parts), recording.source, closed, free, confidence)
+
+
+def _beside_force(
+    recording: Recording, mechanics: Robot, touch: Touch, cutoff: float | None, delay: float | None, z: float
+) -> tuple[list[Part], float]:
+    """Return what is found of the sensor, the surface and friction, and the cutoff, Hz."""
+    windows = Windows.of(touch, cutoff)
+    sensor = of_free_rows(windows, np.asarray(mechanics.model.pinocchio_model().gravity.linear), z)
+    beside = beside_torques(recording, mechanics, touch, cutoff, z)
+    if delay is not None:
+        sensor.read_late(delay, 0.0)
+    surface = compliance_of(windows, sensor, z)
+    if delay is None:
+        late = [e for e in (*beside.estimates, *surface.estimates) if "delay" in e.name and not e.why]
+        _read_late(sensor, late, z)
+        if any(e.name == "sensor_delay" for e in late):  # which tells damping and delay apart
+            own = [e for e in surface.estimates if e.name == "delay" and not e.why]
+            surface = compliance_of(windows, sensor, z)
+            surface.estimates += own
+    if recording.q is None:
+        why = "the log has no positions: its heights are those above the first row"
+        surface.estimates = [
+            unknown(e.name, e.unit, why) if e.name == "surface_offset" else e for e in surface.estimates
+        ]
+    return [sensor.part, beside, surface, friction_of(windows, sensor, z)], windows.cutoff
+
+
+def _allow_for_counts(
+    recording: Recording, parts: list[Part], cutoff: float, z: float, fit: Callable[[Recording], list[Part]]
+) -> None:
+    """Let intervals contain what the counts of encoders do to the estimates, which `fit` finds in a recording.
+
+    Errors of counts follow the motion for many rows: they are no noise, and bias what is fitted. The motion below the
+    cutoff, Hz, is counted anew from other beginnings, beside the same forces. By how much its estimates then differ
+    from those without counts is how much those of the log are off.
+    """
+    size = motion.count_of(recording.positions)
+    if not size.any():
+        return
+    smooth = motion.low_passed(motion.between_counts(recording.positions), cutoff, recording.step)
+    draw = np.random.default_rng(0)
+    counted = [motion.counted_from_elsewhere(smooth, size, draw) for _ in range(BEGINNINGS)]
+    true, *read = (
+        {e.name: e.value for part in fit(replace(recording, q=q)) for e in part.estimates} for q in (smooth, *counted)
+    )
+    for part in parts:
+        for at, e in enumerate(part.estimates):
+            off = np.array([found.get(e.name, np.nan) - true.get(e.name, np.nan) for found in read])
+            off = off[~np.isnan(off)]
+            if not e.why and len(off):
+                half = float(np.hypot(0.5 * (e.high - e.low), z * np.sqrt(np.mean(off**2))))
+                part.estimates[at] = e._replace(low=e.value - half, high=e.value + half)
+            elif not e.why:
+                why = "the counts of the encoders are too coarse for this motion: move farther, or faster"
+                part.estimates[at] = unknown(e.name, e.unit, why)
 
 
 def _read_late(sensor: Sensor, delays: Sequence[Estimate], z: float) -> None:

@@ -9,11 +9,13 @@ import pytest
 import closedloop as cl
 from closedloop.base.errors import ModelError
 from validation.measured.__main__ import main
+from validation.measured.judged import Judged
+from validation.measured.paired import BETTER, EQUAL, WORSE, paired
 from validation.measured.pressing.__main__ import main as draw
-from validation.measured.pressing.fitting import Fit, force_mode, intervals, residuals
-from validation.measured.pressing.judging import fits_of, judge
+from validation.measured.pressing.fitting import Fit, force_mode, intervals, measured_figures, residuals
+from validation.measured.pressing.judging import GOALS, compare, fits_of, judge, repeats, sizes_of_differences
 from validation.measured.pressing.machine import CONTACT, MACHINE, SIZES, ClosedLoopArm, contact_time, pose, scenario
-from validation.measured.pressing.measures import BAND, figures
+from validation.measured.pressing.measures import BAND, Figures, figures
 from validation.measured.pressing.mujoco import MuJoCoArm
 from validation.measured.pressing.touchdowns import Touchdown, read
 
@@ -156,6 +158,68 @@ def test_a_mean_is_not_read_as_a_swing():
     lost = (t < 0.3) | ((t > 1.1) & (t < 1.3))
     force = np.where(lost, 5.0, 55.0) + 10.0 * np.sin(2.0 * np.pi * 2.0 * t)
     assert figures(t, force, 55.0, 3.2).frequency > 1.2 * BAND[0]
+
+
+def test_an_engine_is_better_or_worse_where_the_tests_agree():
+    """Six kinds of tests that agree decide, five do not; repeats, and a figure that is not known, are no evidence."""
+    agree = np.array([1.0, 2.0, 0.5, 1.5, 1.0, 3.0])
+    assert paired(agree, np.zeros(6), range(6)).verdict == WORSE
+    assert paired(np.zeros(6), agree, range(6)).verdict == BETTER
+    assert paired(agree * [1, 1, 1, 1, 1, -1], np.zeros(6), range(6)).verdict == EQUAL
+    five = paired(np.repeat(agree[:5], 4), np.zeros(20), np.repeat(range(5), 4).tolist())
+    assert (five.verdict, five.confidence) == (EQUAL, 1.0 - 2.0 / 32)
+    assert (five.mean, five.low, five.high) == (1.2, 0.5, 2.0)
+    assert paired(np.append(agree, np.nan), np.zeros(7), range(7)) == paired(agree, np.zeros(6), range(6))
+    assert paired(np.full(2, np.nan), np.zeros(2), range(2)).verdict == EQUAL
+
+
+@pytest.mark.parametrize("kinds", [8, 24])
+def test_the_interval_holds_the_true_difference(kinds):
+    """In 95 % of the cases, of errors with heavy tails too, each test with a repeat that is as far off."""
+    drawn = np.random.default_rng(1)
+    held = 0
+    for _ in range(400):
+        size = np.repeat(0.3 + drawn.standard_t(2, kinds), 2)
+        found = paired(size, np.zeros(2 * kinds), np.repeat(range(kinds), 2).tolist())
+        held += found.low <= 0.3 <= found.high
+    assert held / 400 == pytest.approx(0.95, abs=0.03)
+
+
+def test_engines_are_compared_test_by_test():
+    """An engine that is off by more in every figure is worse in each, and a fault; one that is off alike is equal."""
+    t = np.arange(0.0, 3.3, 8e-4)
+    swing = 40.0 * np.exp(-2.0 * t) * np.sin(2.0 * np.pi * 5.0 * t)
+    tests = [Touchdown(f"{f:g}", "straight", f, 1.0, 0.25, 0.2, 3.2, t, f + swing) for f in np.linspace(40.0, 75.0, 8)]
+    unsettled = replace(tests[0], name="unsettled", measured=tests[0].measured + 20.0)
+
+    def off(share):
+        found = [Figures(*(share * np.array(measured_figures(test)))) for test in (*tests, unsettled)]
+        return sizes_of_differences([*tests, unsettled], found)
+
+    for ours, peers, verdict in ((1.1, 1.2, BETTER), (1.2, 1.1, WORSE), (1.1, 1.1, EQUAL)):
+        judged = Judged("", "")
+        compare(judged, [*tests, unsettled], off(ours), off(peers))
+        told = judged.numbers["paired"]
+        assert {told[key]["verdict"] for key in GOALS} == {verdict}
+        assert told["peak_percent"]["mean"] == pytest.approx(100.0 * (ours - peers))
+        assert told["settling_percent"]["each"]["unsettled"] is None
+        assert [fault.partition(" ")[0] for fault in judged.faults] == (list(GOALS) if verdict == WORSE else [])
+        assert sum(line.endswith(verdict) for line in judged.lines) == len(GOALS)
+
+
+def test_the_scatter_of_repeats_is_told():
+    """Tests that come down alike scatter by the standard deviation of what was measured; others are no repeats."""
+    t = np.arange(0.0, 3.3, 8e-4)
+    force = 50.0 + 40.0 * np.exp(-2.0 * t) * np.sin(2.0 * np.pi * 5.0 * t)
+    one = Touchdown("a", "straight", 50.0, 1.0, 0.25, 0.2, 3.2, t, force)
+    judged = Judged("", "")
+    repeats(judged, [one, replace(one, measured=1.04 * force), replace(one, gain=0.5, measured=2.0 * force)])
+    told = judged.numbers["repeats"]
+    assert told["peak_percent"] == pytest.approx(100.0 * 0.02 / 1.02 * np.sqrt(2.0))
+    assert told["mean_newton"] == pytest.approx(np.sqrt(2.0), rel=1e-3)
+    assert (told["frequency_percent"], judged.lines[-1][:41]) == (0.0, "2 measured tests are repeats of 1 kinds, ")
+    repeats(judged, [one])
+    assert judged.numbers["repeats"] == {}
 
 
 def test_mujoco_has_the_same_machine():

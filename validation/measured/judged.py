@@ -49,8 +49,8 @@ def possible(e: Estimate) -> Estimate:
 def entries(estimates: Sequence[Estimate]) -> dict[str, Any]:
     """Return the values and intervals of estimates as lists; None where the log does not tell, with the reason."""
     told = {
-        "value": [_number(e.value) for e in estimates],
-        "interval": [[_number(e.low), _number(e.high)] for e in estimates],
+        "value": [number_or_none(e.value) for e in estimates],
+        "interval": [[number_or_none(e.low), number_or_none(e.high)] for e in estimates],
         "unit": estimates[0].unit,
     }
     reasons = {e.name: e.why for e in estimates if e.why}
@@ -62,7 +62,8 @@ def with_half(e: Estimate) -> str:
     return f"{e.value:.4g} ± {(e.high - e.low) / 2:.2g}"
 
 
-def _number(x: float) -> float | None:
+def number_or_none(x: float) -> float | None:
+    """Return a number as JSON has it."""
     return float(x) if np.isfinite(x) else None
 
 
@@ -72,8 +73,8 @@ def add_torques(judged: Judged, found: Identification, tested: str) -> None:
     summary = found.summary()
     judged.numbers["torque"] = {
         "joints": list(names),
-        "held_out_error": [_number(x) for x in found.held_out],
-        "fitted_error": [_number(x) for x in found.relative_error],
+        "held_out_error": [number_or_none(x) for x in found.held_out],
+        "fitted_error": [number_or_none(x) for x in found.relative_error],
         "used_share": [float(x) for x in found.used.mean(axis=0)],
         "held_out": tested,
     }

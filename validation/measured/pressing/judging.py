@@ -10,9 +10,11 @@ from typing import Any
 import numpy as np
 
 import closedloop as cl
+from closedloop.base.arrays import Array
 from closedloop.base.errors import ClosedLoopError, ModelError
 from closedloop.base.files import reason_of, write_whole
-from validation.measured.judged import Judged
+from validation.measured.judged import Judged, number_or_none
+from validation.measured.paired import WORSE, paired
 from validation.measured.pressing.fitting import TRAINING, Engine, Fit, fit, force_mode, measured_figures
 from validation.measured.pressing.machine import ClosedLoopArm, scenario
 from validation.measured.pressing.measures import SMOOTH, Figures, figures
@@ -50,17 +52,20 @@ def judge(given: Path | None = None, fitted: Path | None = None) -> Judged:
         raise ModelError(f"{given}: every test is one that the machine was fitted to: give others")
     judged = Judged("A UR10e in its force mode comes down", str(given))
     judged.lines.append(f"{len(rest)} tests predicted, with numbers fitted to {len(fits[OURS]['tests'])} others")
-    errors = {}
+    sizes = {}
     for engine in engines(fits):
         found = [_simulated(engine, fits[engine.name]["values"], test) for test in rest]
-        errors[engine.name] = _errors(rest, found)
-        judged.numbers[engine.name] = errors[engine.name] | {
+        sizes[engine.name] = sizes_of_differences(rest, found)
+        judged.numbers[engine.name] = _errors(rest, found, sizes[engine.name]) | {
             "each": {test.name: one._asdict() for test, one in zip(rest, found, strict=True)},
             "values": fits[engine.name]["values"], "intervals": fits[engine.name]["intervals"],
         }  # fmt: skip
     judged.numbers["measured"] = {test.name: measured_figures(test)._asdict() for test in rest}
     _table(judged, rest)
-    _compare(judged, errors)
+    _goals(judged, list(sizes))
+    if PEER in sizes:
+        compare(judged, rest, sizes[OURS], sizes[PEER])
+    repeats(judged, tests)
     _fitted(judged, fits)
     _mode(judged, tests)
     _why(judged, fits[OURS]["values"], tests)
@@ -122,17 +127,25 @@ def settles(found: Figures, test: Touchdown) -> bool:
     return found.settling < test.rest - 2.0 * SMOOTH
 
 
-def _errors(tests: Sequence[Touchdown], found: Sequence[Figures]) -> dict[str, Any]:
-    """Return the mean sizes of the differences; of the settling time over the tests that settle as measured."""
-    pairs = [(measured_figures(test), one, test) for test, one in zip(tests, found, strict=True)]
-    settling = [abs(one.settling / want.settling - 1.0) for want, one, test in pairs if settles(want, test)]
+def sizes_of_differences(tests: Sequence[Touchdown], found: Sequence[Figures]) -> dict[str, Array]:
+    """Return the sizes (N,) of the differences from what was measured; NaN for a settling time that was not."""
+    measured = [measured_figures(test) for test in tests]
+    have, want = (np.array([(one.peak, one.frequency, one.settling) for one in each]).T for each in (found, measured))
+    peak, frequency, settling = 100.0 * np.abs(have / want - 1.0)
+    settled = np.array([settles(one, test) for one, test in zip(measured, tests, strict=True)])
     return {
-        "peak_percent": 100.0 * float(np.mean([abs(one.peak / want.peak - 1.0) for want, one, _ in pairs])),
-        "frequency_percent": 100.0 * float(np.mean([abs(f.frequency / w.frequency - 1.0) for w, f, _ in pairs])),
-        "settling_percent": 100.0 * float(np.mean(settling)) if settling else None,
-        "mean_newton": float(np.mean([abs(one.mean - want.mean) for want, one, _ in pairs])),
-        "tests": len(tests), "tests_that_settle": len(settling),
-        "settle_alike": sum(settles(want, test) == settles(one, test) for want, one, test in pairs),
+        "peak_percent": peak, "frequency_percent": frequency, "settling_percent": np.where(settled, settling, np.nan),
+        "mean_newton": np.array([abs(a.mean - b.mean) for a, b in zip(found, measured, strict=True)]),
+    }  # fmt: skip
+
+
+def _errors(tests: Sequence[Touchdown], found: Sequence[Figures], sizes: Mapping[str, Array]) -> dict[str, Any]:
+    """Return the mean sizes of the differences; of the settling time over the tests that settle as measured."""
+    pairs = zip(tests, map(measured_figures, tests), found, strict=True)
+    return {
+        **{key: float(np.nanmean(each)) if np.isfinite(each).any() else None for key, each in sizes.items()},
+        "tests": len(tests), "tests_that_settle": int(np.isfinite(sizes["settling_percent"]).sum()),
+        "settle_alike": sum(settles(want, test) == settles(one, test) for test, want, one in pairs),
     }  # fmt: skip
 
 
@@ -159,19 +172,64 @@ def _text(key: str, found: Figures, test: Touchdown) -> str:
     return f"{value:.0f}" if key in ("peak", "losses") else f"{value:.2f}"
 
 
-def _compare(judged: Judged, errors: Mapping[str, Mapping[str, Any]]) -> None:
-    """Add the mean differences, and a fault for each beyond its goal or above the peer's."""
+def _goals(judged: Judged, names: Sequence[str]) -> None:
+    """Add the mean differences, and a fault for each beyond its goal."""
     judged.lines += ["", "mean difference from the measurement (goal)"]
-    for name, told in errors.items():
+    for name in names:
+        told = judged.numbers[name]
         parts = [f"{key} {told[key]:.3g} ({GOALS[key]:g})" for key in GOALS if told[key] is not None]
         alike = f"{told['settle_alike']} of {told['tests']} settle, or do not, as measured"
         judged.lines.append(f"  {name:12}{', '.join(parts)}; {alike}")
-    for key, goal in GOALS.items():
-        ours, peer = errors[OURS][key], errors.get(PEER, {}).get(key)
-        if ours is not None and ours > goal:
-            judged.faults.append(f"{key}: {ours:.3g}, over {goal:g}")
-        if None not in (ours, peer) and ours > peer:
-            judged.faults.append(f"{key}: {ours:.3g}, above {peer:.3g} of {PEER}")
+    ours = judged.numbers[OURS]
+    judged.faults += [f"{k}: {ours[k]:.3g}, over {goal:g}" for k, goal in GOALS.items() if (ours[k] or 0.0) > goal]
+
+
+def kind_of(test: Touchdown) -> tuple[str, float, float, float]:
+    """Return what tests have in common that come down alike: they are repeats of one another."""
+    return test.place, test.force, test.gain, test.limit
+
+
+def compare(judged: Judged, tests: Sequence[Touchdown], ours: Mapping[str, Array], peers: Mapping[str, Array]) -> None:
+    """Add the difference of the engines in each test, and what it says of each figure; a fault where it is worse."""
+    kinds = [kind_of(test) for test in tests]
+    found = {key: paired(ours[key], peers[key], kinds) for key in GOALS}
+    each = {test.name: {key: ours[key][i] - peers[key][i] for key in GOALS} for i, test in enumerate(tests)}
+    judged.numbers["paired"] = {
+        key: {part: x if isinstance(x, str) else number_or_none(x) for part, x in one._asdict().items()}
+        | {"each": {name: number_or_none(row[key]) for name, row in each.items()}}
+        for key, one in found.items()
+    }
+    judged.lines += ["", f"size of the difference, {OURS} less {PEER}: below 0, {OURS} is nearer to the measurement"]
+    judged.lines.append(f"  {'':26}" + "".join(f"{key:>20}" for key in GOALS))
+    for name, row in (each | {"mean": {key: one.mean for key, one in found.items()}}).items():
+        texts = (f"{row[key]:.2f}" if np.isfinite(row[key]) else "-" for key in GOALS)
+        judged.lines.append(f"  {name:26}" + "".join(f"{text:>20}" for text in texts))
+    for key, one in found.items():
+        said = f"{one.mean:.3g}, {one.low:.2g} to {one.high:.2g} ({100.0 * one.confidence:.0f} %): {one.verdict}"
+        judged.lines.append(f"  {key}: {said}")
+        if one.verdict == WORSE:
+            judged.faults.append(f"{key} less that of {PEER}: {said}")
+
+
+def repeats(judged: Judged, tests: Sequence[Touchdown]) -> None:
+    """Add by how much measured figures of repeats scatter: the standard deviation about the mean of each kind.
+
+    A frequency that the force does not determine would differ as much from repeat to repeat.
+    """
+    kinds: dict[Any, list[Touchdown]] = {}
+    for test in tests:
+        kinds.setdefault(kind_of(test), []).append(test)
+    repeated = [each for each in kinds.values() if len(each) > 1]
+    free = sum(len(each) - 1 for each in repeated)
+    told = judged.numbers["repeats"] = {}
+    for key in GOALS if free else ():
+        name, unit = key.split("_")
+        each = [np.array([getattr(measured_figures(test), name) for test in one]) for one in repeated]
+        about = [(x - x.mean()) / (x.mean() / 100.0 if unit == "percent" else 1.0) for x in each]
+        told[key] = float(np.sqrt(sum(x @ x for x in about) / free))
+    if told:
+        parts, count = ", ".join(f"{key} {x:.2g}" for key, x in told.items()), free + len(repeated)
+        judged.lines += ["", f"{count} measured tests are repeats of {len(repeated)} kinds, and scatter by {parts}"]
 
 
 def _fitted(judged: Judged, fits: Mapping[str, Any]) -> None:

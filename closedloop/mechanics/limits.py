@@ -138,7 +138,6 @@ TENTH = limit(
 # The solver in joint space.
 FIRST_RHO = limit("FIRST_RHO", 10.0, "1", "ρ of the first round, as a multiple of the inverse of a contact's mobility")
 WIDENING = limit("WIDENING", 4.0, "1", "by which ρ grows from round to round, and the bracket of a search")
-STEP_RHO = limit("STEP_RHO", 100.0, "1", "ρ of the rounds of time stepping")
 STIFF = limit("STIFF", 1e3, "1", "ρ of the last rounds; impulses so many times those that are asked for are none")
 STIFFEST_RHO = limit("STIFFEST_RHO", 1e4, "1", "ρ along the homotopy, and where rounds lessen the residual slowly")
 WEDGED = limit("WEDGED", 1e6, "1", "forces so many times those that are asked for are none: contacts are wedged")

@@ -33,8 +33,8 @@ from closedloop.mechanics.limits import (
     NEAR,
     NEWTON_STEPS,
     REFINEMENTS,
+    SLIGHT,
     SMALL,
-    STEP_RHO,
     STEPS,
     STIFF,
     STIFFEST_RHO,
@@ -98,7 +98,7 @@ class JointSpace(Block, sizes=("n", "k")):
 @kernel
 def into_disc(x1: float, x2: float, radius: float, P: Array, slope: Array) -> float:
     """Write the nearest to (x1, x2) within a disc in P[1:], and its slope; return 1 if it is on the edge, else 0."""
-    size = math.hypot(x1, x2)
+    size = math.sqrt(x1 * x1 + x2 * x2)
     if size <= radius:
         P[1], P[2] = x1, x2
         slope[1, 1], slope[2, 2], slope[1, 2], slope[2, 1] = 1.0, 1.0, 0.0, 0.0
@@ -113,7 +113,7 @@ def into_disc(x1: float, x2: float, radius: float, P: Array, slope: Array) -> fl
 @kernel
 def into_cone_with_slope(x0: float, x1: float, x2: float, mu: float, P: Array, slope: Array) -> None:
     """Write the nearest point of Coulomb's cone to x in P (3,), and its slope (3, 3)."""
-    size = math.hypot(x1, x2)
+    size = math.sqrt(x1 * x1 + x2 * x2)
     for a in range(3):
         for b in range(3):
             slope[a, b] = 0.0
@@ -155,7 +155,7 @@ def respond(s: JointSpace, i: int, rho: float, P: Array) -> None:
     x0, x1, x2 = s.P[at] - rho * u0, s.P[at + 1] - rho * u1, s.P[at + 2] - rho * u2
     along[0] = along[1] = 0.0
     if normal == PUSHES and s.tangent[i] == IN_CONE:
-        size, share = math.hypot(u1, u2), (1.0 - s.associated) * mu
+        size, share = math.sqrt(u1 * u1 + u2 * u2), (1.0 - s.associated) * mu
         if size > 0.0:
             along[0], along[1] = share * u1 / size, share * u2 / size
         into_cone_with_slope(x0 - rho * share * size, x1, x2, mu, P[at : at + 3], slope)
@@ -182,7 +182,7 @@ def respond(s: JointSpace, i: int, rho: float, P: Array) -> None:
         P[at + 1], P[at + 2] = by1 * f, by2 * f
     else:
         share = math.copysign(mu, f) * into_disc(x1, x2, mu * abs(f), P[at : at + 3], slope)
-        size = math.hypot(x1, x2)
+        size = math.sqrt(x1 * x1 + x2 * x2)
         by1, by2 = (share * x1 / size, share * x2 / size) if size > 0.0 else (0.0 * size, 0.0 * size)
     if normal == OWNED:
         along[0], along[1] = by1, by2
@@ -229,21 +229,19 @@ def add_rows(s: JointSpace, i: int, owner: int, rho: float) -> None:
     e1, e2 = s.along[owner][0], s.along[owner][1]
     if s.normal[owner] != PUSHES:
         e1 = e2 = 0.0
-    of = s.slope[owner]
-    for b in range(3):
-        for j in range(first, end):
-            J[b, j] = 0.0
+    of, some = s.slope[owner], False
     for b in range(3):
         if owner == i:
             c0, c1, c2 = rho * slope[b, 0], rho * slope[b, 1], rho * slope[b, 2]
         else:  # the slope of the owner's normal impulse, times that of the owned one by it
             share = along[b - 1] * rho if b > 0 else 0.0
             c0, c1, c2 = share * of[0, 0], share * of[0, 1], share * of[0, 2]
-        if c0 == 0.0 and c1 == 0.0 and c2 == 0.0:
-            continue
+        some = some or c0 != 0.0 or c1 != 0.0 or c2 != 0.0
         c1, c2, row = c1 + c0 * e1, c2 + c0 * e2, row_of(J, b)
         for j in range(first, end):
             row[j] = c0 * x0[j] + c1 * x1[j] + c2 * x2[j]
+    if not some:  # it is open
+        return
     for j in range(int(s.first[i]), int(s.end[i])):
         z0, z1, z2 = s.X[3 * i, j], s.X[3 * i + 1, j], s.X[3 * i + 2, j]
         if z0 == 0.0 and z1 == 0.0 and z2 == 0.0:
@@ -256,15 +254,19 @@ def add_rows(s: JointSpace, i: int, owner: int, rho: float) -> None:
 @kernel
 def newton_step_of_joints(s: JointSpace, a: int, n: int, stiffness: float) -> None:
     """Write the step of Newton's method, of the slopes that are written, in `step`."""
-    M, x = s.matrix, s.step
+    M, x, end = s.matrix, s.step, 0
     for j in range(n):
-        x[j] = -s.off[j]
-        for m in range(n):
-            M[j, m] = 0.0
-        M[j, j], s.until[j] = 1.0 if s.held == 0.0 else VANISHING, j + 1.0
+        x[j], s.until[j] = -s.off[j], j + 1.0
     for i in range(a):
         first = int(s.first[i])
         s.until[first] = max(s.until[first], s.end[i])
+    for j in range(n):
+        end = max(end, int(s.until[j]))
+        s.until[j] = end
+        for m in range(j, end):
+            M[j, m] = M[m, j] = 0.0
+        M[j, j] = 1.0 if s.held == 0.0 else VANISHING
+    for i in range(a):
         add_rows(s, i, i, rho_of(s, i, stiffness))
         if s.normal[i] == OWNED:
             owner = int(s.given[i])
@@ -274,15 +276,13 @@ def newton_step_of_joints(s: JointSpace, a: int, n: int, stiffness: float) -> No
 
 @kernel
 def eliminate(M: Array, x: Array, until: Array, n: int) -> None:
-    """Solve M x = b, with b in x (n,), by elimination without pivots; M (n, n) and `until` (n,) are overwritten.
+    """Solve M x = b, with b in x (n,), by elimination without pivots; M (n, n) is overwritten.
 
-    Row and column j of M have no entries from `until[j]` on, or from where those of a row before it end. What has no
-    pivot is left out. M is that of a positive definite form, or a round that has no use of its solution is taken back.
+    Row and column j of M have no entries from `until[j]` on, which never falls with j. What has no pivot is left out.
+    M is that of a positive definite form, or a round that has no use of its solution is taken back.
     """
-    end = 0
     for k in range(n):
-        end = max(end, int(until[k]))
-        until[k], top = end, row_of(M, k)
+        end, top = int(until[k]), row_of(M, k)
         inverse = 1.0 / top[k] if top[k] != 0.0 else 0.0
         for i in range(k + 1, end):
             row = row_of(M, i)
@@ -363,20 +363,20 @@ def solve_step(s: JointSpace, a: int, n: int) -> bool:
 
 @kernel
 def do_rounds(s: JointSpace, a: int, n: int) -> None:
-    """Do rounds until the residual is FOUND; ρ grows where they lessen it little, and falls where it grows.
+    """Do rounds until the residual is SLIGHT; ρ grows where Newton's steps are whole, and falls where the residual grows.
 
     Of contacts whose rows depend on each other one may have to open: the residual stays until its impulse is gone. What
     a round leaves of its equations counts 1/ρ of that in impulses.
     """
-    stiffness = STEP_RHO
+    stiffness = FIRST_RHO
     s.residual = residual_of(s, a, n)
     for _ in range(ITERATIONS):
-        if s.residual <= FOUND or not s.residual < math.inf:
+        if s.residual <= SLIGHT or not s.residual < math.inf:
             break
         before = s.residual
         for r in range(3 * a):
             s.before[r] = s.P[r]
-        do_round(s, a, n, stiffness, False, min(TENTH * stiffness, WIDENING))
+        whole = do_round(s, a, n, stiffness, False, min(TENTH * stiffness, WIDENING))
         s.residual = residual_of(s, a, n)
         if not MOST_OF * s.residual <= before:
             for r in range(3 * a):
@@ -385,7 +385,7 @@ def do_rounds(s: JointSpace, a: int, n: int) -> None:
             stiffness /= WIDENING * WIDENING
             if stiffness < 1.0:
                 break
-        elif s.residual > 0.5 * before:
+        elif whole:
             stiffness = min(WIDENING * stiffness, STIFFEST_RHO)
 
 
@@ -510,13 +510,13 @@ def solve_softly(s: JointSpace, a: int, n: int, rounds: int = 1) -> bool:
 
 
 @kernel
-def do_round(s: JointSpace, a: int, n: int, stiffness: float, convex: bool = True, leaves: float = TENTH) -> None:
+def do_round(s: JointSpace, a: int, n: int, stiffness: float, convex: bool = True, leaves: float = TENTH) -> bool:
     """Do a round of the proximal point method: write the P that is nearest, from P, and y and u of it.
 
     Of its equations it leaves a share. If it is convex there is a search along each step of Newton's method; else that
-    is halved until less is off.
+    is halved until less is off. Returns whether none was.
     """
-    most = 0.0
+    most, whole = 0.0, True
     for i in range(a):
         most = max(most, s.mobility[i])
     left = leaves * max(s.residual, FOUND) * s.asked / (stiffness * math.sqrt(most))
@@ -538,7 +538,7 @@ def do_round(s: JointSpace, a: int, n: int, stiffness: float, convex: bool = Tru
             square = write_off(s, a, n, stiffness, s.y_trial)
             if square < (1.0 - 0.2 * share) * last:
                 break
-            share *= 0.5
+            share, whole = 0.5 * share, False
         if not square < last:
             write_off(s, a, n, stiffness, s.y)
             break
@@ -546,6 +546,7 @@ def do_round(s: JointSpace, a: int, n: int, stiffness: float, convex: bool = Tru
             s.y[j] = s.y_trial[j]
     for r in range(3 * a):
         s.P[r] = s.trial[r]
+    return whole
 
 
 @kernel

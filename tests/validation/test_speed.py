@@ -19,6 +19,7 @@ from validation.speed.contestants import Contestant, converged, final, our_engin
 from validation.speed.feet import BOXES, STANDS, on_feet
 from validation.speed.loops import GIVES_WAY, MECHANISMS, coasting, racing
 from validation.speed.measure import Timing, race, ratio
+from validation.speed.robots import ROBOTS, of_robot
 from validation.speed.scenes import WALL, bodies_of, of_scene
 from validation.speed.served import main as main_served
 from validation.speed.targets import growth, targets
@@ -83,6 +84,16 @@ def test_every_row_moves_the_scene(name):
         places = (q if contestant.name == "compiled" else q.reshape(count, 7)[:, :3].ravel()).reshape(count, -1)[:, :3]
         assert np.all(places[:, 2] > 0.025)
         assert np.max(np.abs(places[:, :2])) < WALL
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_every_row_puts_down_the_robot(name):
+    """A car that coasts, and a quadruped that stands, are in both engines where they should be."""
+    for contestant in of_robot(name, True):
+        x, y, z = contestant.lap()[1]
+        np.testing.assert_allclose([x, y, z], contestant.wanted, atol=contestant.tolerance)
+        assert x == pytest.approx(2.0, abs=0.01) if name == "car" else abs(x) < 0.01
+        assert z == pytest.approx(0.1 if name == "car" else 0.2785, abs=3e-3)
 
 
 def test_mujoco_races_with_its_own_solver_settings():
@@ -169,7 +180,7 @@ def test_targets_are_judged_on_the_right_side():
     none = (None, None)
     assert found == [
         (16.0, True), (4.0, False), none, none, (0.75, False), (1.5, False), (2.0, False), *[none] * 8, (5.0, False),
-        (1.5, True), *[none] * 16,
+        (1.5, True), *[none] * 18,
     ]  # fmt: skip
     both = [("compiled", 4.0, 10.0), ("algorithms", 8.0, 20.0)]
     chains = {
@@ -196,7 +207,7 @@ def test_command_writes_valid_json(tmp_path, capsys):
         assert row["seconds_per_step"] == np.median(row["laps"])
         joint = row["processor_seconds_per_step"] / row["joints"]
         assert joint == row["processor_seconds_per_step_and_joint"] == np.median(row["processor_laps"]) / row["joints"]
-    assert len(data["targets"]) == 33
+    assert len(data["targets"]) == 35
     assert data["targets"][-1]["measured"] is None  # no mechanisms and no chains in this run
     assert data["cold_start_seconds"] == {}
 

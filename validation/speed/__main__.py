@@ -16,6 +16,7 @@ from validation.speed.bodies import BODIES
 from validation.speed.contestants import Contestant
 from validation.speed.feet import BOXES
 from validation.speed.loops import MECHANISMS
+from validation.speed.robots import ROBOTS
 from validation.speed.scenes import SCENES
 
 INSTALL = 'not installed: pip install "closedloop[peers]"'
@@ -32,7 +33,7 @@ def main(words: list[str]) -> int:
     for name in ("repeats", "steps", "runs"):
         if getattr(options, name) is not None and getattr(options, name) < 1:
             raise InputError(f"--{name} {getattr(options, name)}: must be at least 1")
-    known = (*ARMS, *MECHANISMS, *BOXES, *BODIES, *SCENES)
+    known = (*ARMS, *MECHANISMS, *BOXES, *BODIES, *SCENES, *ROBOTS)
     unknown = [arm for arm in options.arms if arm not in known]
     if unknown:
         raise InputError(f"--arms {unknown[0]}: must be of {', '.join(known)}")
@@ -69,9 +70,9 @@ def _parser() -> Parser:
     parser.add_argument(
         "--arms",
         nargs="+",
-        default=[*ARMS, *MECHANISMS, *BOXES, *BODIES, *SCENES],
+        default=[*ARMS, *MECHANISMS, *BOXES, *BODIES, *SCENES, *ROBOTS],
         metavar="ARM",
-        help=f"of {', '.join((*ARMS, *MECHANISMS, *BOXES, *BODIES, *SCENES))}",
+        help=f"of {', '.join((*ARMS, *MECHANISMS, *BOXES, *BODIES, *SCENES, *ROBOTS))}",
     )
     parser.add_argument("--no-cold-start", action="store_true", help="leave out the start of whole processes")
     parser.add_argument("--json", metavar="FILE", help="write every value")
@@ -80,7 +81,7 @@ def _parser() -> Parser:
 
 def line_up(arms: Sequence[str], steps: int, runs: int) -> tuple[list[Contestant], dict[str, str]]:
     """Return everyone who races, and why the others do not."""
-    from validation.speed import batch, bodies, contestants, derivatives, feet, inertia, loops, repeated, scenes
+    from validation.speed import batch, bodies, contestants, derivatives, feet, inertia, loops, repeated, robots, scenes
 
     there = {name: find_spec(module) is not None for name, module in (("mujoco", "mujoco"), ("drake", "pydrake"))}
     missing = {name: INSTALL for name, found in there.items() if not found}
@@ -98,6 +99,9 @@ def line_up(arms: Sequence[str], steps: int, runs: int) -> tuple[list[Contestant
             continue
         if arm in SCENES:
             everyone += scenes.of_scene(arm, there["mujoco"])
+            continue
+        if arm in ROBOTS:
+            everyone += robots.of_robot(arm, there["mujoco"])
             continue
         problem = slide(arm, steps)
         racing = [contestants.our_engine(arm, problem, "compiled")]

@@ -1,8 +1,8 @@
 """Free bodies: a tossed cube, and towers of two to ten boxes at rest, ours beside MuJoCo's bare ``mj_step``.
 
-Both take steps of a millisecond of their first-order scheme, with the same bodies, friction and start; ours records all
-columns. In MuJoCo the bodies are boxes, in ours their corners. MuJoCo's contacts give way and have no restitution: its
-cube ends elsewhere, at rest on the floor as ours does.
+All take steps of a millisecond, with the same bodies, friction and start; ours records all columns, once with located
+events, and once by time stepping, which is a scheme like MuJoCo's. In MuJoCo the bodies are boxes, in ours their
+corners. MuJoCo's contacts give way and have no restitution: its cube ends elsewhere, at rest on the floor as ours does.
 """
 
 from pathlib import Path
@@ -64,9 +64,11 @@ def problem_of(name: str) -> Problem:
     return cl.prepare(load_scenario(CUBE, CHANGES)) if name == CUBE else tower(int(name.removeprefix("tower_")))
 
 
-def ours(name: str) -> Contestant:
-    """Return our compiled engine."""
+def ours(name: str, by: str) -> Contestant:
+    """Return our compiled engine, "compiled" with events or by "time_stepping"."""
     problem = problem_of(name)
+    if by != "compiled":
+        problem = cl.prepare(problem.scenario.replace({"time.integrator": by}), problem.robot.model)
 
     def lap() -> tuple[float | None, Array | None]:
         rows, _, failure, seconds = run_loop(problem, engine="compiled")
@@ -76,7 +78,8 @@ def ours(name: str) -> Contestant:
 
     end = lap()[1]
     rests = None if name == CUBE else problem.q
-    return Contestant("compiled", name, problem.robot.n, STEPS, lap, end, 1e-9, "compiled engine", rests)
+    what = "compiled engine" if by == "compiled" else "time stepping"
+    return Contestant(by, name, problem.robot.n, STEPS, lap, end, 1e-9, what, rests)
 
 
 def bare(name: str, joints: int, cone: str) -> Contestant:
@@ -114,5 +117,5 @@ def bare(name: str, joints: int, cone: str) -> Contestant:
 
 def of_bodies(name: str, with_mujoco: bool) -> list[Contestant]:
     """Return everyone who moves the bodies of one of `BODIES`."""
-    one = ours(name)
-    return [one, *(bare(name, one.joints, cone) for cone in CONES)] if with_mujoco else [one]
+    own = [ours(name, by) for by in ("compiled", "time_stepping")]
+    return [*own, *(bare(name, own[0].joints, cone) for cone in CONES if with_mujoco)]

@@ -9,6 +9,7 @@ from validation.speed.bodies import CUBE, TOWERS
 from validation.speed.feet import BOXES
 from validation.speed.measure import Timing, ratio
 from validation.speed.repeated import SHORT
+from validation.speed.robots import ROBOTS
 from validation.speed.scenes import SCENES
 
 Timings = dict[tuple[str, str], Timing]
@@ -79,10 +80,12 @@ def targets(timings: Timings) -> list[Target]:
             Target(f"{who}: bare mj_step / compiled", least, True, times("mj_step", "compiled", arm=who))
             for who, least in (
                 *((box, 1.0) for box in BOXES),
-                (CUBE, 1.0),
-                ("tower_5", 0.5),
-                *((scene, 0.2) for scene in SCENES),
+                *((scene, 0.2) for scene in (*SCENES, *ROBOTS)),
             )
+        ),
+        *(
+            Target(f"{who}: bare mj_step / time stepping", least, True, times("mj_step", "time_stepping", arm=who))
+            for who, least in ((CUBE, 1.0), ("tower_5", 0.8))
         ),
         Target("tower of 10 / of 2: compiled, over mj_step's", 1.0, False, tower_growth(timings)),
     ]

@@ -12,7 +12,7 @@ from closedloop.mechanics.closure.solve import OK
 from closedloop.mechanics.contacts.joint_space import IN_CONE, PUSHES, solve_step
 from closedloop.mechanics.contacts.memory import contacts_at, make_contact_memory
 from closedloop.mechanics.contacts.stepping import begin_step
-from closedloop.mechanics.limits import NEAR
+from closedloop.mechanics.limits import NEAR, SLIGHT
 from closedloop.mechanics.surface.placed import PlacedSurface
 from validation.speed.scenes import scenario_of
 
@@ -80,7 +80,7 @@ def test_rebounds_of_a_step_add_no_energy():
 def test_one_contact_in_a_step_rebounds_stays_or_is_put_back():
     """By closed forms: e = 1 keeps its speed, what only now turns round does not rebound, a tenth of a depth goes."""
     X = np.eye(3)
-    assert one_step(X, np.array([-0.37, 0.1, 0.0]), 1.0)[0][0] == pytest.approx(0.37, rel=1e-8)
+    assert one_step(X, np.array([-0.37, 0.1, 0.0]), 1.0)[0][0] == pytest.approx(0.37, rel=SLIGHT)
     turns = one_step(X, np.array([0.1, 0.0, 0.0]), 1.0, load=np.array([-600.0, 0.0, 0.0]))[0]
     assert turns[0] == pytest.approx(0.0, abs=1e-7)
     after, _, shift = one_step(X, np.array([0.0, 0.1, 0.0]), 0.5, gap=-1e-5)
@@ -99,7 +99,7 @@ def test_a_box_on_an_incline(mu, angle):
     run = scenes.run([scenes.box(edges=(0.2, 0.1, 0.1), position=scenes.above(angle, 0.05), tilt=angle)], mu, angle)
     gain = max(G * (np.sin(angle) - mu * np.cos(angle)), 0.0)
     speed = np.linalg.norm(run.v[:, :3], axis=1)
-    assert speed[-1] == pytest.approx(gain * run.time[-1], rel=1e-9, abs=1e-9)
+    assert speed[-1] == pytest.approx(gain * run.time[-1], rel=SLIGHT, abs=1e-9)  # of what each step asks
     assert np.sum(run.link_forces[-1]) == pytest.approx(G * np.cos(angle), rel=1e-5)
 
 

@@ -363,7 +363,7 @@ def solve_step(s: JointSpace, a: int, n: int) -> bool:
 
 @kernel
 def do_rounds(s: JointSpace, a: int, n: int) -> None:
-    """Do rounds until the residual is SLIGHT; ρ grows where Newton's steps are whole, and falls where the residual grows.
+    """Do rounds until the residual is SLIGHT: ρ grows where Newton's steps are whole, falls where the residual grows.
 
     Of contacts whose rows depend on each other one may have to open: the residual stays until its impulse is gone. What
     a round leaves of its equations counts 1/ρ of that in impulses.

@@ -13,7 +13,7 @@ from closedloop.mechanics.contacts.memory import Contacts
 @kernel
 def order_joints(c: Contacts, s: JointSpace, k: int, n: int) -> None:
     """Write the place of each joint. Groups go by their first joint; `matrix` is scratch: whom each has beside it."""
-    beside, degree, length, queue = s.matrix, row_of(s.row, 0), row_of(s.row, 1), row_of(s.row, 2)
+    degree, length, queue = row_of(s.row, 0), row_of(s.row, 1), row_of(s.row, 2)
     for j in range(n):
         degree[j], s.order[j] = 0.0, -1.0
     for i in range(k):
@@ -36,19 +36,25 @@ def order_joints(c: Contacts, s: JointSpace, k: int, n: int) -> None:
             place -= int(length[group])
             for j in range(int(length[group])):
                 s.order[group + j] = place + j
-            while True:
-                next_one = -1
-                for m in range(int(degree[group])):
-                    other = int(beside[group, m])
-                    if s.order[other] < 0.0 and (next_one < 0 or degree[other] < degree[next_one]):
-                        next_one = other
-                if next_one < 0:
-                    break
-                queue[found], found, s.order[next_one] = next_one, found + 1, n
+            other = next_beside(s, group)
+            while other >= 0:
+                queue[found], found, s.order[other] = other, found + 1, n
+                other = next_beside(s, group)
     for j in range(n - 1, -1, -1):
         if s.order[j] < 0.0:
             place -= 1
             s.order[j] = place
+
+
+@kernel
+def next_beside(s: JointSpace, group: int) -> int:
+    """Return the group that touches fewest, of those without a place that stand beside this one; or -1."""
+    degree, found = row_of(s.row, 0), -1
+    for m in range(int(degree[group])):
+        other = int(s.matrix[group, m])
+        if s.order[other] < 0.0 and (found < 0 or degree[other] < degree[found]):
+            found = other
+    return found
 
 
 @kernel

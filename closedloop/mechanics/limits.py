@@ -32,9 +32,6 @@ VANISHING = limit("VANISHING", 1e-11, "1", "a sum that is less, of its terms, is
 DEPENDENT = limit(
     "DEPENDENT", 1e-10, "1", "a row with less beyond the span of others depends on them; a force that is less is none"
 )
-BESIDE_EDGE = limit(
-    "BESIDE_EDGE", 1e-8, "1", "by which share of 1/τ before the end of a slip its derivatives are taken"
-)
 FOUND = limit("FOUND", 1e-9, "1", "equations are solved well enough to go on")
 SLIGHT = limit(
     "SLIGHT",
@@ -123,7 +120,7 @@ MOST_OF = limit(
     "MOST_OF",
     0.9,
     "1",
-    "what is more is nearly all: of what is left until slips end, of a residual that no longer falls, of a cosine",
+    "what is more is nearly all: of what is left until slips end, of a residual, a tilt, an angle, a cosine",
 )
 FADED = limit(
     "FADED", 0.5, "1", "a slip that begins below STICK_SPEED ends if it falls in a step to less than this share"
@@ -146,9 +143,12 @@ AHEAD = limit(
 )
 
 # Shapes.
-PARALLEL = limit("PARALLEL", 0.02, "1", "edges whose directions differ by less, a sine, do not cross")
-LEAN = limit("LEAN", 0.05, "1", "by which the normal of two edges may lean out of their faces, a sine")
-RESOLVED = limit("RESOLVED", 0.8, "1", "by which a tilt may change in a step that resolves it")
+PARALLEL = limit(
+    "PARALLEL",
+    0.02,
+    "1",
+    "edges whose directions differ by less, a sine, do not cross; their normal may lean so far out",
+)
 AGAIN = limit("AGAIN", 2.0, "1", "a disc that stands rolls again from so many times the tilt that a step resolves")
 SURELY = limit("SURELY", 8.0, "1", "the same, wherever its lowest point is")
 SHARE_DEEPER = limit(
@@ -157,18 +157,17 @@ SHARE_DEEPER = limit(
     "1",
     "how deep another point of a disc's edge may be, of radius and tilt: a polygon of 31 corners",
 )
-BEYOND = limit("BEYOND", 0.95, "1", "the next corner is beyond the lowest point by this share of the angle of the last")
 
 # Counts.
 ITERATIONS = limit("ITERATIONS", 40, "", "of any iteration: what has not converged by then does not")
-REFINEMENTS = limit("REFINEMENTS", 5, "", "of solutions, and moves of a projection: both converge quadratically")
+REFINEMENTS = limit(
+    "REFINEMENTS", 5, "", "of solutions and their derivatives, and moves of a projection: all converge quickly"
+)
 TURNS = limit("TURNS", 20, "", "solutions in which the friction of slow slips is turned")
 MOST_STALLED = limit(
     "MOST_STALLED", 2, "", "times that turning friction of slow slips may change it by no less than before"
 )
-NEWTON_STEPS = limit("NEWTON_STEPS", 30, "", "steps of Newton's method in a round")
 HALVINGS = limit("HALVINGS", 12, "", "of a step of Newton's method")
-DERIVATIVES = limit("DERIVATIVES", 4, "", "rounds that give a solution its derivatives")
 SWEEPS = limit("SWEEPS", 500, "", "of Gauss and Seidel's method over joints with dry friction")
 STEPS = limit("STEPS", (20, 100), "", "of the homotopy from Anitescu's problem, the more where few do not do")
 MOST_MISSING = limit("MOST_MISSING", 10, "", "problems without solution in the search for the largest restitution")

@@ -23,7 +23,6 @@ from closedloop.jit.blocks import Block, Count
 from closedloop.jit.calls import row_of
 from closedloop.jit.kernel import kernel
 from closedloop.mechanics.limits import (
-    DERIVATIVES,
     EXACT,
     FIRST_RHO,
     FOUND,
@@ -31,7 +30,6 @@ from closedloop.mechanics.limits import (
     ITERATIONS,
     MOST_OF,
     NEAR,
-    NEWTON_STEPS,
     REFINEMENTS,
     SLIGHT,
     SMALL,
@@ -453,7 +451,7 @@ def find_least(s: JointSpace, a: int, n: int) -> bool:
 @kernel
 def differentiate(s: JointSpace, a: int, n: int) -> None:
     """Give the P that is found, and u, its derivatives: each round leaves a share of what they are off."""
-    for _ in range(DERIVATIVES):
+    for _ in range(REFINEMENTS):
         write_off(s, a, n, STIFF, s.y)
         newton_step_of_joints(s, a, n, STIFF)
         for j in range(n):
@@ -521,7 +519,7 @@ def do_round(s: JointSpace, a: int, n: int, stiffness: float, convex: bool = Tru
         most = max(most, s.mobility[i])
     left = leaves * max(s.residual, FOUND) * s.asked / (stiffness * math.sqrt(most))
     square = write_off(s, a, n, stiffness, s.y)
-    for _ in range(NEWTON_STEPS):
+    for _ in range(ITERATIONS):
         if square <= left * left:
             break
         newton_step_of_joints(s, a, n, stiffness)

@@ -49,13 +49,11 @@ from closedloop.mechanics.contacts.modes import CAME
 from closedloop.mechanics.contacts.sections import THIN, ContactSection
 from closedloop.mechanics.limits import (
     AGAIN,
-    BEYOND,
     FOUND,
     HOVERING,
     MOST_OF,
     NEAR,
     OFF_SURFACE,
-    RESOLVED,
     SHARE_DEEPER,
     SLIGHT,
     SURELY,
@@ -290,7 +288,7 @@ def take_seat(shapes: Shapes, i: int, r: Array) -> None:
 @kernel
 def left_of_rolling(shapes: Shapes, i: int, h: float) -> float:
     """Return what is left of the tilt until contact i cannot roll in steps of h, s: negative where it cannot."""
-    return float(RESOLVED * (shapes.rim.tilt[i] - SLIGHT) - h * shapes.rim.tilt_rate[i])
+    return float(MOST_OF * (shapes.rim.tilt[i] - SLIGHT) - h * shapes.rim.tilt_rate[i])
 
 
 @kernel
@@ -312,7 +310,7 @@ def left_of_standing(shapes: Shapes, c: Contacts, i: int, h: float) -> float:
     if c.soft[i] != 0.0 and stands_on_feet(shapes, c, i):
         return APART
     size, deeper = rim.radius[i] * rim.tilt[i], rim.radius[i] * rim.tilt[i] * (1.0 - rim.apart[i])
-    limit, tilt = h * rim.tilt_rate[i] + RESOLVED * SLIGHT, RESOLVED * rim.tilt[i]
+    limit, tilt = h * rim.tilt_rate[i] + MOST_OF * SLIGHT, MOST_OF * rim.tilt[i]
     rolls = max(AGAIN * limit - tilt, deeper - NEAR * size - OFF_SURFACE)
     return float(min(rolls, SURELY * limit - tilt, OFF_SURFACE + SHARE_DEEPER * size - deeper))
 
@@ -391,7 +389,7 @@ def seat_next(shapes: Shapes, i: int) -> None:
     rim, of_lowest, of_last = shapes.rim, 1.0, 0.0
     if MOST_OF < rim.apart[i] < 1.0:
         angle = math.acos(rim.apart[i])
-        of_lowest, of_last = math.sin((1.0 + BEYOND) * angle), math.sin(BEYOND * angle)
+        of_lowest, of_last = math.sin((1.0 + MOST_OF) * angle), math.sin(MOST_OF * angle)
         of_lowest, of_last = of_lowest / math.sin(angle), of_last / math.sin(angle)
     for a in range(3):
         rim.seat[i, a] = of_lowest * rim.lowest[i, a] - of_last * rim.seat[i, a]

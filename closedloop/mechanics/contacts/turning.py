@@ -44,8 +44,8 @@ from closedloop.mechanics.contacts.resistance import is_resistance
 from closedloop.mechanics.contacts.soft import drop_contradictions, shared_friction, some_share
 from closedloop.mechanics.limits import (
     AT_EDGE,
-    BESIDE_EDGE,
     FIRST_RHO,
+    FOUND,
     HIGH,
     HOVERING,
     ITERATIONS,
@@ -423,7 +423,7 @@ def settle(links: ContactLinks, c: Contacts, k: int, rate: float) -> float:
     A search that ends at an end of its bracket, as where friction is on its edge at once, has found none. Its equation
     is asked a little before slip ends: at the edge itself rounding would decide between two slopes.
     """
-    beside = (1.0 + BESIDE_EDGE) * sought(rate)
+    beside = (1.0 + FOUND) * sought(rate)
     for r in range(3 * k):
         c.scratch.best[r] = c.stepping.P[r]
     if not solve_within(links, c, k, along(beside)):

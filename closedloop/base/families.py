@@ -230,23 +230,20 @@ class Family(Mapping[str, type[M]], Generic[M]):
         if name not in self._shipped:
             if name not in self._files:
                 raise KeyError(name)
-            found = self._in_module(import_module(f"{self.base.folder}.{name}"))
+            module = import_module(f"{self.base.folder}.{name}")
+            own = [
+                each
+                for each in vars(module).values()
+                if isinstance(each, type) and issubclass(each, self.base) and each.__module__ == module.__name__
+            ]
+            if len(own) > 1:
+                names = ", ".join(each.__name__ for each in own)
+                raise TypeError(f"{module.__name__} holds {names}: a file has one member of {self.base.__name__}")
+            found = own[0] if own else None
             if found is None:
                 raise KeyError(name)
             self._shipped[name] = found
         return self._shipped[name]
-
-    def _in_module(self, module: Any) -> type[M] | None:
-        """Return the class that is this family's in a file of the folder, None if it has none."""
-        own = [
-            each
-            for each in vars(module).values()
-            if isinstance(each, type) and issubclass(each, self.base) and each.__module__ == module.__name__
-        ]
-        if len(own) > 1:
-            names = ", ".join(each.__name__ for each in own)
-            raise TypeError(f"{module.__name__} holds {names}: a file has one member of {self.base.__name__}")
-        return own[0] if own else None
 
     def __iter__(self) -> Iterator[str]:
         """Go through the names, those that ship first, in the order of the alphabet; imports all of them."""

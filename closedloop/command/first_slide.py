@@ -246,7 +246,10 @@ def _judged(robot: Robot, normal: tuple[float, float, float], q: Array, first: b
     if dexterity < LEAST_DEXTERITY or (rank > 1 and not directions):
         return DEXTERITY, "the tip is near a singular pose, or cannot move along the surface"
     score = min(1.0, 3.0 * mobility) * dexterity * min(1.0, 4.0 * margin)
-    score *= (10.0 if first else 1.0) * _from_above(robot, frame[0])
+    # A last link that stands on the surface counts most, one that comes from below least.
+    length = float(np.linalg.norm(robot.tip_offset))
+    lever = robot.views[3] @ robot.tip_offset  # from the last joint to the tip, base frame
+    score *= (10.0 if first else 1.0) * (1.0 if length == 0.0 else 0.55 - 0.45 * float(lever @ frame[0]) / length)
     return Posture(q, score, normal, directions, np.array(terms.bias), A[0])
 
 
@@ -302,16 +305,6 @@ def _directions(reached: Array, frame: Array) -> Iterator[tuple[float, ...]]:
     for share, axis in zip(shares, axes.T, strict=True):
         if reached.shape[1] < 3 and share > 1.0 - 1e-12:
             yield tuple((across @ axis + 0.0).tolist())
-
-
-def _from_above(robot: Robot, normal: Array) -> float:
-    """Return 1 for a last link that stands on the surface, less for one that lies on it or comes from below.
-
-    The posture is that of the last call of `Robot.terms`.
-    """
-    length = float(np.linalg.norm(robot.tip_offset))
-    lever = robot.views[3] @ robot.tip_offset  # from the last joint to the tip, base frame
-    return 1.0 if length == 0.0 else 0.55 - 0.45 * float(lever @ normal) / length
 
 
 def _scenarios(robot: Robot, name: str, force: float, postures: list[Posture], faults: Faults) -> Iterator[Scenario]:

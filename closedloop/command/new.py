@@ -20,7 +20,10 @@ def main(words: list[str]) -> int:
     """Run the command line and return the exit status."""
     options = _parser().parse_args(words)
     file = Path(options.name if options.name.endswith(".toml") else f"{options.name}.toml")
-    _refuse_to_replace(file)
+    if os.path.lexists(file):
+        raise OutputError(f"{file}: is there already and is not replaced; choose another name")
+    if not file.parent.is_dir():
+        raise OutputError(f"{file}: cannot be written: there is no folder {str(file.parent)!r}")
     if options.force is not None and not 0.0 < options.force <= MOST_FORCE:
         raise ScenarioError(f"--force {options.force:g}: must be greater than 0 and at most {MOST_FORCE:g} N")
     from closedloop.command.first_slide import first_slide, held
@@ -170,10 +173,3 @@ def _named_from(file: Path, robot: str) -> str:
     if not names_a_file(robot) or os.path.isabs(robot):
         return robot
     return Path(os.path.relpath(robot, file.parent)).as_posix()
-
-
-def _refuse_to_replace(file: Path) -> None:
-    if os.path.lexists(file):
-        raise OutputError(f"{file}: is there already and is not replaced; choose another name")
-    if not file.parent.is_dir():
-        raise OutputError(f"{file}: cannot be written: there is no folder {str(file.parent)!r}")

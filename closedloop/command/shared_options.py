@@ -83,17 +83,13 @@ class _Tell(argparse.Action):
         if values is None:
             parser.print_help()
         else:
-            _print_topic(self.option_strings[-1], str(values))
+            from closedloop.scenario.messages import explain_key
+
+            try:
+                print(explain_key(str(values).removeprefix("--")))
+            except ScenarioError as error:
+                raise ScenarioError(f"command line: {self.option_strings[-1]}: {error}") from None
         parser.exit()
-
-
-def _print_topic(option: str, word: str) -> None:
-    from closedloop.scenario.messages import explain_key
-
-    try:
-        print(explain_key(word.removeprefix("--")))
-    except ScenarioError as error:
-        raise ScenarioError(f"command line: {option}: {error}") from None
 
 
 def parsed(parser: Parser, words: list[str]) -> tuple[Namespace, dict[str, Any]]:

@@ -54,7 +54,14 @@ def _main(words: list[str]) -> int:
 def as_process(arguments: Sequence[str] | None = None) -> int:
     """Run the command line as all that this process does: a run that was abandoned keeps nobody waiting."""
     status = main(arguments)
-    _leave_if_still_at_work(status)
+    from closedloop.simulation.batch.threads import still_at_work
+
+    if still_at_work():
+        for output in (sys.stdout, sys.stderr):
+            if output is not None:  # as it is where it was closed from the beginning
+                with suppress(OSError):
+                    output.flush()
+        os._exit(status)
     return status
 
 
@@ -228,18 +235,6 @@ def _plot(arguments: list[str]) -> int:
         path = sweep_plot(options.table, of or None, x=options.x, y=options.y, out=options.out)
     print(what_was_written(path))
     return DONE
-
-
-def _leave_if_still_at_work(status: int) -> None:
-    """End the process at once if a run was abandoned, which would keep it waiting."""
-    from closedloop.simulation.batch.threads import still_at_work
-
-    if still_at_work():
-        for output in (sys.stdout, sys.stderr):
-            if output is not None:  # as it is where it was closed from the beginning
-                with suppress(OSError):
-                    output.flush()
-        os._exit(status)
 
 
 if __name__ == "__main__":

@@ -84,29 +84,16 @@ class Page(Figure):
                     legend = widest(lambda ncols, axes=axes: self._put(axes, ncols, left=True), count, panel.width)
                     pad = float(legend.get_window_extent().height) * 72.0 / self.dpi if taken else 0.0
             whole = title.get_text()
-            title.set_text(broken(title, self._end_of_title(axes) - gap - left))
+            # A title ends at the panel beside it, or at the edge of the page.
+            others = [each.get_window_extent() for each in self.axes if each.get_label() != "<colorbar>"]
+            beside = [
+                other.x0 for other in others if other.x0 > panel.x1 and other.y0 < panel.y1 and other.y1 > panel.y0
+            ]
+            title.set_text(broken(title, float(min(beside, default=self.bbox.x1)) - gap - left))
             if title.get_text() != whole:
                 self.whole[title] = whole, title.get_text()
             title.set_in_layout(True)
             axes._set_title_offset_trans(mpl.rcParams["axes.titlepad"] + pad)  # type: ignore[attr-defined]
-
-    def _end_of_title(self, axes: Axes) -> float:
-        """Return where the title of a panel must end, in pixels: at the panel beside it, or at the edge of the page."""
-        own = axes.get_window_extent()
-        others = [each.get_window_extent() for each in self.axes if each.get_label() != "<colorbar>"]
-        beside = [other.x0 for other in others if other.x0 > own.x1 and other.y0 < own.y1 and other.y1 > own.y0]
-        return float(min(beside, default=self.bbox.x1))
-
-    def unfit(self) -> None:
-        """Undo what `fit` did, the page may have another size since, and leave titles and their legends out."""
-        for title, (whole, shown) in self.whole.items():
-            if title.get_text() == shown:
-                title.set_text(whole)
-        self.whole.clear()
-        for axes in self.axes:
-            left_title(axes).set_in_layout(False)
-            if axes in self.beside and (legend := axes.get_legend()):
-                legend.set_in_layout(False)
 
 
 class PageLayout(ConstrainedLayoutEngine):
@@ -115,7 +102,15 @@ class PageLayout(ConstrainedLayoutEngine):
     def execute(self, fig: Any) -> None:
         """Lay a page out."""
         with mpl.rc_context(fig.settings):
-            fig.unfit()
+            # The page may have another size since `fit`: what it did is undone.
+            for title, (whole, shown) in fig.whole.items():
+                if title.get_text() == shown:
+                    title.set_text(whole)
+            fig.whole.clear()
+            for axes in fig.axes:
+                left_title(axes).set_in_layout(False)
+                if axes in fig.beside and (legend := axes.get_legend()):
+                    legend.set_in_layout(False)
             super().execute(fig)
             fig.fit()
             super().execute(fig)

@@ -304,7 +304,17 @@ def dress(
     _draw_bands(axes, run, begin, end)
     _draw_marks(axes, run, begin, end, label_marks)
     if show_events:
-        _draw_events(axes, run, begin, end)
+        from matplotlib.lines import Line2D
+        from matplotlib.transforms import offset_copy
+
+        above = offset_copy(axes.get_xaxis_transform(), fig=axes.get_figure(root=True), y=4, units="points")
+        for kind, shape in SHAPES.items():
+            times = thinned(run.event_time[run.event_kind == kind], begin, end)
+            if times.size:
+                # add_artist, not add_line: marks on the axis say nothing about the range of the data.
+                axes.add_artist(
+                    Line2D(times, np.zeros_like(times), color=INK, linestyle="none", transform=above, zorder=4, **shape)
+                )
 
 
 def contact_handles(run: Run) -> list[Artist]:
@@ -465,17 +475,3 @@ def _reaches_up(axes: Axes, begin: float, end: float, share: float) -> bool:
             if np.any(y[inside] > low + share * (high - low)):
                 return True
     return False
-
-
-def _draw_events(axes: Axes, run: Run, begin: float, end: float) -> None:
-    from matplotlib.lines import Line2D
-    from matplotlib.transforms import offset_copy
-
-    above = offset_copy(axes.get_xaxis_transform(), fig=axes.get_figure(root=True), y=4, units="points")
-    for kind, shape in SHAPES.items():
-        times = thinned(run.event_time[run.event_kind == kind], begin, end)
-        if times.size:
-            # add_artist, not add_line: marks on the axis say nothing about the range of the data.
-            axes.add_artist(
-                Line2D(times, np.zeros_like(times), color=INK, linestyle="none", transform=above, zorder=4, **shape)
-            )

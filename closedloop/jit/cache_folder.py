@@ -229,19 +229,13 @@ def claim(folder: Path) -> None:
         with suppress(OSError):  # someone else's, and only to be read
             os.utime(marker, follow_symlinks=False)
     elif not any(folder.iterdir()):
-        with suppress(FileExistsError):  # another process may be faster
-            _write_marker(marker, _marker_of(folder))
-
-
-def _write_marker(marker: Path, text: bytes) -> None:
-    """Write the marker, or nothing: with half of one the folder would be nobody's for ever."""
-    with marker.open("xb") as file:
-        try:
-            file.write(text)
-            file.flush()
-        except BaseException:
-            marker.unlink()
-            raise
+        with suppress(FileExistsError), marker.open("xb") as file:  # another process may be faster
+            try:
+                file.write(_marker_of(folder))
+                file.flush()
+            except BaseException:  # with half of a marker the folder would be nobody's for ever
+                marker.unlink()
+                raise
 
 
 def is_ours(folder: Path) -> bool:

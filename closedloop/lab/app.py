@@ -281,7 +281,10 @@ class Lab:
         run = answer.run if answer.run is not None and len(answer.run) else None
         if run is not None:
             self.answer = answer
-            self._show_run(run, answer)
+            steps = max(0, len(run) - 1)
+            line = answer.stopped or f"{steps} steps in {1e3 * answer.seconds:.0f} ms ({run.engine})"
+            self._send_run(run, line=line, loud=bool(answer.stopped), partial=False,
+                           point=self.map.point(run.scenario), stale=self.map.stale(run.scenario))  # fmt: skip
         self.tell("fault", {"kind": "fault", "key": answer.key, "line": answer.fault}, keep=False)
         if run is not None:
             self.details.ask(answer)
@@ -289,12 +292,6 @@ class Lab:
             self.tell_controls()
         for then in self.after_show:
             then(answer)
-
-    def _show_run(self, run: Run, answer: Answer) -> None:
-        steps = max(0, len(run) - 1)
-        line = answer.stopped or f"{steps} steps in {1e3 * answer.seconds:.0f} ms ({run.engine})"
-        self._send_run(run, line=line, loud=bool(answer.stopped), partial=False,
-                       point=self.map.point(run.scenario), stale=self.map.stale(run.scenario))  # fmt: skip
 
     def _show_part(self, run: Run) -> None:
         """Show what is done of a run that takes long."""

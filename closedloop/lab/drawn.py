@@ -143,9 +143,15 @@ def _panel(panel: Panel) -> Message:
 
 def run_message(run: Run, panels_of_it: list[Message], **more: Any) -> Message:
     """Return the message that a run is there: its curves, modes and events."""
+    touching = run.scenario.contact or ()
+    found = []
+    for event in run.events[:MOST_MARKS]:
+        of = touching[event.contact - 1].name if 0 < event.contact <= len(touching) else "tip"
+        place = [round(float(x), 6) for x in event.position]
+        found.append({"time": event.time, "kind": event.kind, "of": of, "place": place})
     return {
         "kind": "run", "begin": float(run.time[0]), "end": float(run.time[-1]), "step": run.scenario.time.step,
-        "stopped": run.stopped or "", "panels": panels_of_it, "modes": _modes(run), "marks": _marks(run),
+        "stopped": run.stopped or "", "panels": panels_of_it, "modes": _modes(run), "marks": found,
         "events": len(run.event_time), "columns": column_names(run), **more,
     }  # fmt: skip
 
@@ -157,17 +163,6 @@ def _modes(run: Run) -> Message | None:
     change = np.flatnonzero(np.diff(run.mode)) + 1
     begins = np.concatenate([[0], change])[: 4 * MOST_MARKS]
     return {"time": run.time[begins], "mode": run.mode[begins].astype(float), "names": list(MODES.values())}
-
-
-def _marks(run: Run) -> list[Message]:
-    """Return the first events of a run, in words."""
-    touching = run.scenario.contact or ()
-    found = []
-    for event in run.events[:MOST_MARKS]:
-        of = touching[event.contact - 1].name if 0 < event.contact <= len(touching) else "tip"
-        place = [round(float(x), 6) for x in event.position]
-        found.append({"time": event.time, "kind": event.kind, "of": of, "place": place})
-    return found
 
 
 def robot_message(scene: Scene) -> Message:

@@ -287,9 +287,12 @@ class Server:
         self._page, self._opened, self._said, self._closed = page, opened, said, closed
         # Jupyter's server passes on the name by which the browser knows it: there the token alone lets in
         gate = partial(self._checked_answer, is_loopback(host) and not framed, token)
+        # The server would tell a user of every page that was closed.
+        found = logging.getLogger("closedloop.lab.socket")
+        found.setLevel(logging.CRITICAL)
         self._server = serve(
             self._talk, host, self.port, process_request=gate, compression=None, max_size=LONGEST, close_timeout=1.0,
-            ping_interval=PING, logger=_quiet(), server_header=None, open_timeout=PATIENCE,
+            ping_interval=PING, logger=found, server_header=None, open_timeout=PATIENCE,
             create_connection=self._connection,  # type: ignore[arg-type]  # it is called, and nothing more
         )  # fmt: skip
         threading.Thread(target=self._server.serve_forever, name="closedloop-server", daemon=True).start()
@@ -373,13 +376,6 @@ class Server:
                 self._pages -= 1
             client.close()
             self._closed(client)
-
-
-def _quiet() -> logging.Logger:
-    """Return a logger for the server, which would tell a user of every page that was closed."""
-    found = logging.getLogger("closedloop.lab.socket")
-    found.setLevel(logging.CRITICAL)
-    return found
 
 
 def foreign(headers: Mapping[str, str], loopback: bool) -> bool:

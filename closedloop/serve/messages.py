@@ -18,7 +18,6 @@ import numpy as np
 
 from closedloop.base.arrays import Array
 from closedloop.loop.step.record_row import Row
-from closedloop.record.columns.record import Event
 from closedloop.serve.session import Clock, Interface, Session
 from closedloop.serve.sockets import Client, Gone, Stopped
 from closedloop.simulation.state import StepState
@@ -226,17 +225,6 @@ def codec_of(client: Client, states: States) -> Codec | None:
     raise Gone("is refused: it must begin with { or with the bytes CLB1")
 
 
-def events_as_lists(events: tuple[Event, ...]) -> list[dict[str, Any]]:
-    """Return events as JSON can hold them."""
-    found = []
-    for event in events:
-        entry = event._asdict()
-        for name in ("tangential", "position"):
-            entry[name] = [float(value) for value in entry[name]]
-        found.append({name: _finite(value) for name, value in entry.items()})
-    return found
-
-
 def _finite(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
@@ -307,7 +295,13 @@ class Plain(Interface):
     def _step(self, torque: Array | None) -> None:
         state = self.session.step(torque)
         if events := state.events:
-            self._events += events_as_lists(events)
+            found = []
+            for event in events:
+                entry = event._asdict()
+                for name in ("tangential", "position"):
+                    entry[name] = [float(value) for value in entry[name]]
+                found.append({name: _finite(value) for name, value in entry.items()})
+            self._events += found
 
     def _state(self, codec: Codec) -> bytes | bytearray:
         session = self.session

@@ -112,15 +112,6 @@ class Ground:
         return self.placed.displacement(float(self.run.time[row]))
 
 
-def world_mesh(scenario: Scenario, points: Array, touched: list[Array]) -> tuple[Array, NDArray[np.uint32]]:
-    """Return what of the world links touch: a plane about points (k, 3), m, and bodies about the points touched, m."""
-    vertices, faces = floor_mesh(scenario, points)
-    if not touched:
-        return vertices, faces
-    walls, more = solids_mesh(scenario, np.array(touched))
-    return np.vstack([vertices, walls]), np.vstack([faces, more + np.uint32(len(vertices))])
-
-
 def floor_mesh(scenario: Scenario, points: Array) -> tuple[Array, NDArray[np.uint32]]:
     """Return the plane of the world that links touch, below and around points (k, 3), m, as two triangles.
 
@@ -250,7 +241,11 @@ class Scene:
         rows = np.unique(np.linspace(0, len(self.run) - 1, 20).round().astype(int))
         there = [self.joint_places(int(row)) for row in rows]
         touched = [a.tail for row, at in zip(rows, there, strict=True) for a in self.between_links(int(row), *at)]
-        return world_mesh(self.run.scenario, np.vstack([origins for _, origins in there]), touched)
+        vertices, faces = floor_mesh(self.run.scenario, np.vstack([origins for _, origins in there]))
+        if not touched:
+            return vertices, faces
+        walls, more = solids_mesh(self.run.scenario, np.array(touched))
+        return np.vstack([vertices, walls]), np.vstack([faces, more + np.uint32(len(vertices))])
 
     @cached_property
     def marks(self) -> list[Mark]:
@@ -267,7 +262,12 @@ class Scene:
 
     def joint_places(self, row: int) -> tuple[Array, Array]:
         """Return axes (k, 3, 3) and origins (k, 3), m, of the base, the joints' frames and each [[mocap]] in a row."""
-        axes, origins = joint_frames(self.model, self.run.q[row])
+        mechanism = mechanism_of(self.model)
+        data = mechanism.createData()  # of its own: several threads draw
+        pin.forwardKinematics(
+            mechanism, data, np.ascontiguousarray(in_pinocchios_order(self.run.q[row], self.model.joint_types))
+        )
+        axes, origins = np.array([p.rotation for p in data.oMi]), np.array([p.translation for p in data.oMi])
         for frame in self.robot.moved:
             (turn,), (shift,) = frame.displacements(self.run.time[row : row + 1])
             axes = np.concatenate([axes, (turn @ frame.axes)[None]])
@@ -454,11 +454,3 @@ def quaternions(axes: Array) -> Array:
 def mechanism_of(model: RobotModel) -> Any:
     """Return Pinocchio's model of a robot, made once."""
     return model.pinocchio_model()
-
-
-def joint_frames(model: RobotModel, q: Array) -> tuple[Array, Array]:
-    """Return the axes (n + 1, 3, 3) and origins (n + 1, 3), m, of the base and of each joint's frame at q (nq,)."""
-    mechanism = mechanism_of(model)
-    data = mechanism.createData()  # of its own: several threads draw
-    pin.forwardKinematics(mechanism, data, np.ascontiguousarray(in_pinocchios_order(q, model.joint_types)))
-    return np.array([p.rotation for p in data.oMi]), np.array([p.translation for p in data.oMi])

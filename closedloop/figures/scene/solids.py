@@ -158,16 +158,12 @@ def _read(file: Path, scale: tuple[float, float, float]) -> list[tuple[trimesh.T
         return []
     total, found = sum(len(part.faces) for part in parts), []
     for part in parts:
-        colour = _colour_of(part)
+        material = getattr(part.visual, "material", None)
+        main = getattr(material, "main_color", None)
+        colour = None if main is None else tuple(float(c) / 255.0 for c in main[:3])
         bare = trimesh.Trimesh(part.vertices * np.array(scale), part.faces, process=True)
         found.append((_reduced(bare, max(60, MOST_TRIANGLES * len(part.faces) // total)), colour))
     return found
-
-
-def _colour_of(mesh: trimesh.Trimesh) -> tuple[float, float, float] | None:
-    material = getattr(mesh.visual, "material", None)
-    main = getattr(material, "main_color", None)
-    return None if main is None else tuple(float(c) / 255.0 for c in main[:3])  # type: ignore[return-value]
 
 
 def _reduced(mesh: trimesh.Trimesh, most: int) -> trimesh.Trimesh:
@@ -203,33 +199,6 @@ def _rods(mechanism: Any, tip: str) -> list[Shape]:
 _MARKS = {
     "hinge": (1.4, 7.0), "cylinder": (1.0, 14.0), "universal": (0.9, 7.0), "planar": (5.0, 0.4), "gear": (4.0, 1.2)
 }  # fmt: skip
-
-
-def mark_shape(kind: str, size: float, length: float = 0.0) -> Shape:
-    """Return what a loop joint is drawn as, in a frame at its place whose z is its axis.
-
-    Parameters
-    ----------
-    kind : str
-        Its type, see `robot_models.loop_joint`. One that is not known here is a ball, as a point is.
-    size : float
-        The arm's reach, m.
-    length : float
-        Of a rod along z from its place, m; 0: it is none.
-    """
-    import trimesh
-
-    part = 0.01 * size
-    if length > 0.0:
-        mesh = trimesh.creation.cylinder(0.7 * part, segment=[np.zeros(3), np.array([0.0, 0.0, length])], sections=24)
-    elif kind in ("slider", "weld"):
-        mesh = trimesh.creation.box(part * np.array([2.0, 2.0, 14.0 if kind == "slider" else 2.0]))
-    elif kind in _MARKS:
-        radius, height = _MARKS[kind]
-        mesh = trimesh.creation.cylinder(part * radius, part * height, sections=24)
-    else:
-        mesh = trimesh.creation.icosphere(2, 1.8 * part)
-    return _shape(0, mesh, np.eye(4), MARK)
 
 
 Mesh = tuple[Array, NDArray[np.uint32]]
@@ -383,7 +352,21 @@ def _loops_of(robot: Robot, size: float) -> tuple[_Loop, ...]:
             number, turn, _ = robot.frame_at(named_side(robot, loop)[0], model.home)
             named, force = (number + 1, frames[number + 1][0].T @ turn), range(parts, parts + 3)
             axis = mechanism.frames[mechanism.getFrameId(loop.frames[0])].placement.rotation @ np.array(loop.axes[0])
-        shape = mark_shape(loop.type, size, loop.length)
+        import trimesh
+
+        part = 0.01 * size
+        if loop.length > 0.0:
+            mesh = trimesh.creation.cylinder(
+                0.7 * part, segment=[np.zeros(3), np.array([0.0, 0.0, loop.length])], sections=24
+            )
+        elif loop.type in ("slider", "weld"):
+            mesh = trimesh.creation.box(part * np.array([2.0, 2.0, 14.0 if loop.type == "slider" else 2.0]))
+        elif loop.type in _MARKS:
+            radius, height = _MARKS[loop.type]
+            mesh = trimesh.creation.cylinder(part * radius, part * height, sections=24)
+        else:
+            mesh = trimesh.creation.icosphere(2, 1.8 * part)
+        shape = _shape(0, mesh, np.eye(4), MARK)
         found.append(_Loop(loop.name, shape, sides, _upright(axis), named, tuple(force), bool(loop.length)))
         at, parts = at + loop.rows, parts + len(parts_of(model, loop))
     return tuple(found)

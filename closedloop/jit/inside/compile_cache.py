@@ -147,7 +147,18 @@ class KernelCache(_Cache):
         if data.library.has_dynamic_globals or any(not lifted.can_cache for lifted in data.lifted):
             return
         with suppress(OSError):
-            self._save(sig, data.codegen, data._reduce())
+            code = dumps((self._key(sig, data.codegen), data._reduce()))
+            file = self._file(sig, data.codegen)
+            unfinished = file.with_name(f"{file.name}.tmp.{uuid.uuid4().hex[:16]}")
+            claim(file.parent)
+            try:
+                unfinished.write_bytes(code + _seal(code))
+                unfinished.chmod(unfinished.stat().st_mode & ~0o022)  # what others can write is not loaded
+                os.replace(unfinished, file)
+            except BaseException:
+                with suppress(OSError):
+                    unfinished.unlink()
+                raise
             _forget_once()
 
     def _load(self, sig: Any, codegen: Any) -> Any:
@@ -160,20 +171,6 @@ class KernelCache(_Cache):
             return None
         key, found = IndexDataCacheFile(str(file.parent), "", None)._load_data(file.name)
         return found if key == self._key(sig, codegen) else None
-
-    def _save(self, sig: Any, codegen: Any, data: Any) -> None:
-        code = dumps((self._key(sig, codegen), data))
-        file = self._file(sig, codegen)
-        unfinished = file.with_name(f"{file.name}.tmp.{uuid.uuid4().hex[:16]}")
-        claim(file.parent)
-        try:
-            unfinished.write_bytes(code + _seal(code))
-            unfinished.chmod(unfinished.stat().st_mode & ~0o022)  # what others can write is not loaded
-            os.replace(unfinished, file)
-        except BaseException:
-            with suppress(OSError):
-                unfinished.unlink()
-            raise
 
     @cached_property
     def _identity(self) -> tuple[bytes, ...]:

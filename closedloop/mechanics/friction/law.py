@@ -89,19 +89,6 @@ JointExponent = Annotated[JointPositive, EXPONENT]
 JointSpan = Annotated[JointNotNegative, PERIOD]
 
 
-def refuse_below(static: Figure, kinetic: Figure) -> None:
-    """Refuse a static level below the kinetic one; lists must be of one length."""
-    levels, floors = entries(static), entries(kinetic)
-    count = max(len(levels), len(floors))
-    if len(levels) not in (1, count) or len(floors) not in (1, count):
-        raise ValueError(f"must have as many entries as kinetic, {len(floors)}")
-    for index in range(count):
-        a, b = levels[index % len(levels)], floors[index % len(floors)]
-        if a < b:
-            place = f"entry {index} is {a:g}: " if count > 1 else ""
-            raise ValueError(f"{place}must not be below kinetic, {b:g}: static friction is the larger")
-
-
 # Slip below this speed, m/s or rad/s, has no direction of its own: it is rounding.
 STILL = 1e-12
 
@@ -181,7 +168,15 @@ class FrictionLaw(Parameters):
     @classmethod
     def _static_is_the_larger(cls, value: Figure, info: ValidationInfo) -> Figure:
         if "kinetic" in info.data:  # else it is at fault itself
-            refuse_below(value, info.data["kinetic"])
+            levels, floors = entries(value), entries(info.data["kinetic"])
+            count = max(len(levels), len(floors))
+            if len(levels) not in (1, count) or len(floors) not in (1, count):
+                raise ValueError(f"must have as many entries as kinetic, {len(floors)}")
+            for index in range(count):
+                a, b = levels[index % len(levels)], floors[index % len(floors)]
+                if a < b:
+                    place = f"entry {index} is {a:g}: " if count > 1 else ""
+                    raise ValueError(f"{place}must not be below kinetic, {b:g}: static friction is the larger")
         return value
 
     @classmethod

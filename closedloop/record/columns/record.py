@@ -255,18 +255,6 @@ def in_order(columns: Iterable[str]) -> list[str]:
     return [*(name for name in ALL_COLUMNS if name in there), *sorted(there - set(ALL_COLUMNS))]
 
 
-def columns_there(columns: Iterable[str], turns_freely: bool = False) -> dict[str, Column]:
-    """Return `COLUMNS`, but of `SURFACE_COLUMNS` and `SOMETIMES` only those that are among the columns of a run.
-
-    A robot that turns freely has other positions than velocities, see `robot_models.coordinates`.
-    """
-    there = set(columns)
-    found = {name: spec for name, spec in ALL_COLUMNS.items() if name in there or name not in _NOT_ALWAYS}
-    if turns_freely:
-        found |= {name: found[name]._replace(dims=("time", "coordinate")) for name in POSITIONS}
-    return found
-
-
 class ColumnsOnDemand(Mapping[str, NDArray[Any]]):
     """Columns that are made when they are first asked for, each once; they are read-only.
 
@@ -338,7 +326,11 @@ class Record(_Columns):
     @property
     def specs(self) -> Mapping[str, Column]:
         """Dimensions, unit and meaning of each of the columns."""
-        return columns_there(self.columns, bool(self.model.balls)) | dict(self.added)
+        there = set(self.columns)
+        found = {name: spec for name, spec in ALL_COLUMNS.items() if name in there or name not in _NOT_ALWAYS}
+        if bool(self.model.balls):
+            found |= {name: found[name]._replace(dims=("time", "coordinate")) for name in POSITIONS}
+        return found | dict(self.added)
 
     if TYPE_CHECKING:  # what a `Run` works out of it
 

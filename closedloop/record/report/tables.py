@@ -271,18 +271,6 @@ def _energy_fault(law: Any, load: float, n: int | None = None) -> str | None:
     return law.energy_fault(load, n) if isinstance(law, FrictionLaw) else None
 
 
-def _contact_faults(run: Record) -> list[tuple[str, str | None]]:
-    """Return what `FrictionLaw.energy_fault` says of the laws of friction of links' contacts, by their keys."""
-    sections = run.scenario.contact or ()
-    return [
-        (
-            f"contact.{i}.friction_law",
-            _energy_fault(section.friction_law, float(np.max(run.link_forces[:, i], initial=0.0))),
-        )
-        for i, section in enumerate(sections)
-    ]
-
-
 def _robot_notes(run: Record) -> tuple[str, ...]:
     """Return what the robot's file says and the run did not act on."""
     model, limited, rough = run.model, run.scenario.drives.torque_limit == OF_THE_ROBOT, run.scenario.robot.friction
@@ -298,7 +286,10 @@ def notes(run: Record) -> list[str]:
     faults = (
         ("friction", _energy_fault(run.scenario.friction, load)),
         ("joint_friction", _energy_fault(run.scenario.joint_friction, 1.0, run.v.shape[1])),
-        *_contact_faults(run),
+        *(
+            (f"contact.{i}.friction_law", _energy_fault(section.friction_law, float(np.max(forces, initial=0.0))))
+            for i, (section, forces) in enumerate(zip(run.scenario.contact or (), run.link_forces.T, strict=False))
+        ),
         ("gains", run_gains_fault(run)),
     )
     told = {problem["name"] for problem in run.summary()["verdict"]["problems"]}

@@ -336,15 +336,11 @@ def _chatter(facts: Facts) -> dict[str, Any] | None:
         said.append(f"{joints[worst]:.2g} of the torque of joint {facts.model.joint_names[worst]}")
     text = " and ".join(said) + " alternates from row to row" if said else ""
     steps = facts.steps * (time.step / NOMINAL_STEP if own_steps else 1.0)
-    if facts.events > max(EVENTS_OF_A_BOUNCE * _bounces(facts.scenario), steps / STEPS_TO_AN_EVENT):
+    links = Counter(contact.link for contact in facts.scenario.contact or ())
+    bounces = int(facts.scenario.has_surface) + sum(min(n, BOUNCES_OF_A_BODY) for n in links.values())
+    if facts.events > max(EVENTS_OF_A_BOUNCE * max(1, bounces), steps / STEPS_TO_AN_EVENT):
         text += f"{'; ' if text else ''}{facts.events} events in {facts.steps} steps"
     return problem_of("chatter", text) if text else None
-
-
-def _bounces(scenario: Scenario) -> int:
-    """Return how many times something may come to rest by bounces: the tip, and each link with contacts."""
-    links = Counter(contact.link for contact in scenario.contact or ())
-    return max(1, int(scenario.has_surface) + sum(min(n, BOUNCES_OF_A_BODY) for n in links.values()))
 
 
 def _closure(facts: Facts) -> dict[str, Any] | None:

@@ -116,20 +116,13 @@ def read_encoders(loop: Loop, table: Array) -> None:
     interpreted(read_joints)(loop.w, loop.constants, state, table)
     state.loops.entry, state.phase = entry, MEASURED
     if state.loops.perceived_at != 0:
-        _close_reading(loop.w, loop.w.kept["perceived_loops"])
-
-
-def _close_reading(w: Work, memory: LoopMemory) -> None:
-    """Move the first reading of encoders, in place of q and q̇, to the nearest state that the loops allow.
-
-    Their rank is that at the true state, before it is found in the course of a run.
-    """
-    links, rows = memory
-    rows.q[:], rows.v[:] = w.encoders.true_q, w.encoders.true_v
-    interpreted(locate_rows)(links, rows)
-    interpreted(factor_rows)(links, rows, rows.error, links.m)
-    links.known = links.rank
-    interpreted(close_state)(links, rows, w.q, w.v)
+        # The rank of the loops is that at the true state, before it is found in the course of a run.
+        links, rows = loop.w.kept["perceived_loops"]
+        rows.q[:], rows.v[:] = loop.w.encoders.true_q, loop.w.encoders.true_v
+        interpreted(locate_rows)(links, rows)
+        interpreted(factor_rows)(links, rows, rows.error, links.m)
+        links.known = links.rank
+        interpreted(close_state)(links, rows, loop.w.q, loop.w.v)
 
 
 # Slip slower than this, m/s, is none: a tip that starts with it sticks, one that slows down to it may.
@@ -142,7 +135,8 @@ def write_constants(problem: ScenarioNumbers, constants: Constants) -> None:
     if there is None or not there.stands_for(problem):
         constants.memory[:] = 0.0
         constants.keep_alive(asked=asking(problem, _write_constants, constants)[1])
-    write_places(problem, constants)
+    constants.offset, constants.law[:] = problem.surface.offset, problem.law.numbers
+    constants.restitution = problem.scenario.impact.restitution
 
 
 def _write_constants(problem: ScenarioNumbers, constants: Constants) -> None:
@@ -177,12 +171,6 @@ def _write_constants(problem: ScenarioNumbers, constants: Constants) -> None:
             constants.bearings[:] = ~robot.model.of_bodies
             for j, joint in enumerate(joint_contacts(problem)):
                 constants.joint_capture_speed[j], constants.joint_lag[j] = joint.capture_speed, joint.lag
-
-
-def write_places(problem: ScenarioNumbers, constants: Constants) -> None:
-    """Write those constants that may be others where a run starts elsewhere, or that a run changes."""
-    constants.offset, constants.law[:] = problem.surface.offset, problem.law.numbers
-    constants.restitution = problem.scenario.impact.restitution
 
 
 def write_settings(problem: ScenarioNumbers, state: State) -> None:
@@ -481,7 +469,17 @@ class Problem(ScenarioNumbers):
             return machine(form(entry)) if compiled else twin_address(entry)
 
         def address_of_member(entry: Any, key: str, member: Any) -> int:
-            return _address_of(form(entry), key, member, machine if compiled else twin_address)
+            address = machine if compiled else twin_address
+            try:
+                if address is twin_address and is_users(member):
+                    entry_address(form(entry))
+                return address(form(entry))
+            except Exception as error:
+                known = {"LawInput": LawInput._fields, "Slip": Slip._fields}
+                if not is_users(member) or isinstance(error, ClosedLoopError):
+                    raise
+                why = why_member_not_compiled(error, type(member), known)
+                raise ScenarioError(f"{key}.kind = {member.kind}: cannot be compiled: {why}") from None
 
         loop.state.proceed = address(proceed_at) if loop_compiled else twin_address(proceed_at)
         for name, entry in self.entries(user_law is not None).items():
@@ -537,26 +535,6 @@ class Problem(ScenarioNumbers):
         if contact.restitution_law == AS_IMPACT:
             return self.restitution, contact.restitution, "impact.law"
         return RESTITUTIONS[contact.restitution_law], contact.restitution, f"contact.{i - 1}.restitution_law"
-
-
-def _address_of(entry: Any, key: str, member: Any, address: Callable[[Any], int]) -> int:
-    """Return where an entry is, machine code or what an interpreted loop calls; a user's is compiled in either case.
-
-    Raises
-    ------
-    ScenarioError
-        If numba cannot compile it; `key` names the section of the member.
-    """
-    try:
-        if address is twin_address and is_users(member):
-            entry_address(entry)
-        return address(entry)
-    except Exception as error:
-        known = {"LawInput": LawInput._fields, "Slip": Slip._fields}
-        if not is_users(member) or isinstance(error, ClosedLoopError):
-            raise
-        why = why_member_not_compiled(error, type(member), known)
-        raise ScenarioError(f"{key}.kind = {member.kind}: cannot be compiled: {why}") from None
 
 
 def _contact_families(loop: Loop) -> list[Any]:

@@ -136,7 +136,8 @@ class UserLaw:
         state, constants, w = self._loop
         t, n = float(w.time), w.q.size
         x = interpreted(law_input)(state, constants, w)
-        given: tuple[Any, ...] = (_copied(x),) if self._ways.sees_input else _copied_terms(t, x)
+        terms = Terms(_kept(x.H), _kept(x.C), _kept(x.r), _kept(x.J), _kept(x.Jdot_v))
+        given: tuple[Any, ...] = (_copied(x),) if self._ways.sees_input else (t, _kept(x.q), _kept(x.v), terms)
         try:
             if self._ways.writes:
                 answer: Any = np.zeros(n)
@@ -155,7 +156,8 @@ class UserLaw:
         elif not fault and torque.shape != (n,):
             fault = f"Q of shape {torque.shape}"
         if fault:
-            raise not_a_torque(fault, t, n)
+            what = f"the law returned {fault} at t = {t:g} s: must be {n} real numbers, one torque a joint, ({n},)"
+            raise (LawError(f"{when(t)}: {what}", t) if t > 0.0 else ScenarioError(what))
         if not np.all(np.isfinite(torque)):
             raise self._not_finite(torque, t)
         w.torque[:] = torque
@@ -173,20 +175,8 @@ def _copied(x: LawInput) -> LawInput:
     return LawInput(*values)
 
 
-def _copied_terms(t: float, x: LawInput) -> tuple[float, Array, Array, Terms]:
-    """Return the arguments (t, q, v, terms) of a Python law, likewise: a quarter of the input's arrays."""
-    terms = Terms(_kept(x.H), _kept(x.C), _kept(x.r), _kept(x.J), _kept(x.Jdot_v))
-    return t, _kept(x.q), _kept(x.v), terms
-
-
 def _kept(value: Array) -> Array:
     """Return a copy of an array, read-only."""
     value = value.copy()
     value.setflags(write=False)
     return value
-
-
-def not_a_torque(returned: str, t: float, n: int) -> ScenarioError | LawError:
-    """Return the error of a law that returned no torque of n joints at t, s; at t = 0 s it is a `ScenarioError`."""
-    what = f"the law returned {returned} at t = {t:g} s: must be {n} real numbers, one torque a joint, ({n},)"
-    return LawError(f"{when(t)}: {what}", t) if t > 0.0 else ScenarioError(what)

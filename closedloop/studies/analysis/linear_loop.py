@@ -222,29 +222,6 @@ class Port:
     active_at: float | None
 
 
-def port_of(frequency: Array, velocity: ComplexArray, force: ComplexArray, sampled: float | None) -> Port:
-    """Return the port of a tip with these responses to a displacement of the surface.
-
-    Parameters
-    ----------
-    frequency : (k,) array
-        Hz.
-    velocity, force : (k,) arrays of complex
-        Of the tip along n, m/s, and f, N.
-    sampled : float or None
-        The time between two samples, s, if f varies in between.
-    """
-    with np.errstate(divide="ignore", invalid="ignore"):
-        Y = velocity / force
-    known = np.isfinite(Y)
-    share = np.where(known, Y.real / np.where(known, np.abs(Y), 1.0), 0.0)
-    if sampled is not None:  # by so much Re Y is uncertain, and beyond a quarter of the sampling rate not known
-        share = np.where(frequency < 0.25 / sampled, share + SAMPLING * frequency * sampled, 0.0)
-    worst = int(np.argmin(share))
-    passive = bool(share[worst] >= -PASSIVE)
-    return Port(frequency, Y, passive, None if passive else float(frequency[worst]))
-
-
 # Parts that are no part of the loop.
 OUTSIDE = "surface"
 # Points of a frequency response to a decade, at first.
@@ -473,7 +450,15 @@ class LinearLoop:
         """Return the admittance of the tip along the normal, and whether it is passive."""
         f = self.grid
         v, force = (self.frequency_response("surface", name, f) for name in ("normal velocity", "contact force"))
-        return port_of(f, v, force, None if self.held_force else self.dt)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            Y = v / force
+        known = np.isfinite(Y)
+        share = np.where(known, Y.real / np.where(known, np.abs(Y), 1.0), 0.0)
+        if not self.held_force:  # by so much Re Y is uncertain, and beyond a quarter of the sampling rate not known
+            share = np.where(f < 0.25 / self.dt, share + SAMPLING * f * self.dt, 0.0)
+        worst = int(np.argmin(share))
+        passive = bool(share[worst] >= -PASSIVE)
+        return Port(f, Y, passive, None if passive else float(f[worst]))
 
     def to_control(self) -> Any:
         """Return it as a `control.StateSpace`.

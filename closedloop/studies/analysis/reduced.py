@@ -271,14 +271,6 @@ class Reduced:
             )
         return {key: x[:, index : index + 1] / found["f"][0, index] for key, x in found.items()}
 
-    def by_coordinates(self, block: Block, key: str) -> Array:
-        """Return the derivatives by the coordinates of a step."""
-        found = block["q"][key] @ self.by_q + block["v"][key] @ self.by_v + block["z"][key] @ self.by_z
-        if self.soft:  # a surface that is moved presses
-            found[:, self.s0] += self.by_force[key][:, 0] * self.stiffness
-            found[:, self.s0 + 1] += self.by_force[key][:, 0] * self.damping
-        return np.asarray(found)
-
     def by_inputs(self, block: Block, key: str) -> Array:
         """Return the derivatives by `inputs`: a rigid surface that accelerates is one at rest, and an inertial load."""
         carry, load = np.zeros((self.n, 1)), (self.frame[0] @ np.asarray(self.jacobian))[:, None]
@@ -296,8 +288,12 @@ class Reduced:
 
     def all_of(self, block: Block, key: str) -> list[Array]:
         """Return the derivatives by coordinates, reading, readings of the encoders, inputs and torque."""
+        found = block["q"][key] @ self.by_q + block["v"][key] @ self.by_v + block["z"][key] @ self.by_z
+        if self.soft:  # a surface that is moved presses
+            found[:, self.s0] += self.by_force[key][:, 0] * self.stiffness
+            found[:, self.s0 + 1] += self.by_force[key][:, 0] * self.damping
         return [
-            self.by_coordinates(block, key), block["measured"][key], block["last"][key], self.by_inputs(block, key),
+            np.asarray(found), block["measured"][key], block["last"][key], self.by_inputs(block, key),
             self.held[key],
         ]  # fmt: skip
 

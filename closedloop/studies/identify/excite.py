@@ -176,7 +176,16 @@ def excite(
         slow = np.abs(v) <= regressor.terms.slow * np.abs(v).max(axis=0)
         W[slow] = 0.0  # these torques do not count, see `Regressor.certain`
         flat = W.reshape(-1, len(names)) * np.sqrt(rows_per_row)
-        return _variances(flat), flat
+        # The variance by least squares of rows with noise 1, of each parameter; infinite where none is told.
+        size = np.linalg.norm(flat, axis=0)
+        there = size > 0.0
+        values, vectors = np.linalg.eigh((flat[:, there] / size[there]).T @ (flat[:, there] / size[there]))
+        told = values > UNTOLD * values.max(initial=0.0)
+        found = np.full(len(size), np.inf)
+        inside = (vectors[:, told] ** 2 / values[told]).sum(axis=1)
+        inside[(vectors[:, ~told] ** 2).sum(axis=1) > 1e-6] = np.inf
+        found[there] = inside / size[there] ** 2
+        return found, flat
 
     def cost(coefficients: Array) -> float:
         found = variances(coefficients)[0]
@@ -196,19 +205,6 @@ def excite(
         model, np.linspace(0.0, duration, N), q, v, a, names, tuple(regressor.unit(name) for name in names),
         1.96 * np.sqrt(found), tuple(names[k] for k in asked), 1.96 * random, float(np.linalg.cond(scaled)),
     )  # fmt: skip
-
-
-def _variances(W: Array) -> Array:
-    """Return the variance of each parameter by least squares of rows with noise 1; infinite where none is told."""
-    size = np.linalg.norm(W, axis=0)
-    there = size > 0.0
-    values, vectors = np.linalg.eigh((W[:, there] / size[there]).T @ (W[:, there] / size[there]))
-    told = values > UNTOLD * values.max(initial=0.0)
-    found = np.full(len(size), np.inf)
-    inside = (vectors[:, told] ** 2 / values[told]).sum(axis=1)
-    inside[(vectors[:, ~told] ** 2).sum(axis=1) > 1e-6] = np.inf
-    found[there] = inside / size[there] ** 2
-    return found
 
 
 class _Series:

@@ -158,7 +158,7 @@ def _covariance(rows: Array, X: Array, torque: Array, residual: Array, used: Mas
 
     def reach(phi: Array) -> list[Array]:
         """Return what an innovation adds, by all windows after it."""
-        return [_back(rows[:, j], phi[j]) for j in range(n)]
+        return [np.asarray(signal.lfilter([1.0], [1.0, -phi[j]], rows[:, j][::-1], axis=0)[::-1]) for j in range(n)]
 
     def variances(phi: Array) -> Array:
         """Return the parts (n, n, b) of the variances, by pairs of joints."""
@@ -184,11 +184,6 @@ def _covariance(rows: Array, X: Array, torque: Array, residual: Array, used: Mas
             before = phi[i] * phi[j] / (1.0 - phi[i] * phi[j])
             found += together[i, j] * (_product(g[i], g[j]) + before * np.outer(g[i][0], g[j][0]))
     return found * wider * wider[:, None], phi
-
-
-def _back(rows: Array, phi: float) -> Array:
-    """Return Σ_k φᵏ rows_{t+k} of each window t, (R, b)."""
-    return np.asarray(signal.lfilter([1.0], [1.0, -phi], rows[::-1], axis=0)[::-1])
 
 
 def _autoregression(X: Array, torque: Array, used: Mask, sigma: Array) -> tuple[Array, Array, Array]:

@@ -237,23 +237,18 @@ def check_velocities(q: Array, v: Array, step: float, robot: RobotModel, where: 
                 f"{robot.joint_names[best]} is: are the joints in another order?"
             )
         if alike[joint] > 0.9 and not 0.5 < share[joint] < 2.0:
+            reasons = {
+                180.0 / np.pi: f"they look like degrees, and must be in rad/s: {_unit('v', 'deg/s')}",
+                np.pi / 180.0: f"positions look like degrees, and must be in rad: {_unit('q', 'deg')}",
+                1e3: f"one of them, or time, has another unit, such as {_unit('time', 'ms')}",
+                1e6: f"one of them, or time, has another unit, such as {_unit('time', 'us')}",
+                1e9: f"one of them, or time, has another unit, such as {_unit('time', 'ns')}",
+            }
+            near = next((text for k, text in reasons.items() if 0.75 < share[joint] / k < 1.33), None)
             raise LogError(
                 f"{where}: velocities of {name} are {share[joint]:.3g} times the rate of its positions: "
-                f"{_why_times(share[joint])}"
+                f"{near or 'one of them, or time, has another unit'}"
             )
-
-
-def _why_times(share: float) -> str:
-    """Return which unit velocities may have that are so many times the rate of the positions."""
-    reasons = {
-        180.0 / np.pi: f"they look like degrees, and must be in rad/s: {_unit('v', 'deg/s')}",
-        np.pi / 180.0: f"positions look like degrees, and must be in rad: {_unit('q', 'deg')}",
-        1e3: f"one of them, or time, has another unit, such as {_unit('time', 'ms')}",
-        1e6: f"one of them, or time, has another unit, such as {_unit('time', 'us')}",
-        1e9: f"one of them, or time, has another unit, such as {_unit('time', 'ns')}",
-    }
-    near = next((text for k, text in reasons.items() if 0.75 < share / k < 1.33), None)
-    return near or "one of them, or time, has another unit"
 
 
 def _alike(x: Array, y: Array) -> float:

@@ -325,7 +325,8 @@ def _numbers(column: Any) -> Array | None:
 
     if pa.types.is_string(column.type) or pa.types.is_large_string(column.type):
         try:
-            column = column.cast(pa.timestamp("ns", "UTC" if _has_zone(column) else None))
+            first = next((str(text) for text in column if text.is_valid), "")
+            column = column.cast(pa.timestamp("ns", "UTC" if re.search(r"(Z|[+-]\d\d:?\d\d)$", first) else None))
         except pa.ArrowInvalid:
             return None
     kind = column.type
@@ -338,12 +339,6 @@ def _numbers(column: Any) -> Array | None:
         return np.asarray(column.to_numpy().astype(np.float64))
     except (ValueError, TypeError):
         return None
-
-
-def _has_zone(texts: Any) -> bool:
-    """Whether the first text of a column ends as an instant with a time zone does."""
-    first = next((str(text) for text in texts if text.is_valid), "")
-    return re.search(r"(Z|[+-]\d\d:?\d\d)$", first) is not None
 
 
 def _netcdf(path: Path) -> dict[str, Array]:

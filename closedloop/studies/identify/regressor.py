@@ -189,21 +189,17 @@ class Regressor:
             least = max(self.terms.slow * np.abs(speed).max(), NOISY * noise)
             windows = speed.reshape(R, D)
             one_way = (windows.min(axis=1) > least) | (windows.max(axis=1) < -least)
-            one_way &= (_strokes(place, speed) > REST).reshape(R, D).all(axis=1)
+            # how far a joint moves between the two changes of its direction about each row
+            stroke = np.concatenate([[0], np.cumsum(np.diff(np.sign(speed)) != 0.0)])
+            ends = np.flatnonzero(np.diff(stroke, append=stroke[-1] + 1))
+            starts = np.concatenate([[0], ends[:-1] + 1])
+            one_way &= (np.abs(place[ends] - place[starts])[stroke] > REST).reshape(R, D).all(axis=1)
             near = one_way.copy()  # the filter smears what happens in a window into those beside it
             near[1:] &= one_way[:-1]
             near[:-1] &= one_way[1:]
             for joint in joints:
                 good[:, joint] &= near
         return good
-
-
-def _strokes(place: Array, speed: Array) -> Array:
-    """Return how far a joint moves between the two changes of its direction about each row, (N,)."""
-    stroke = np.concatenate([[0], np.cumsum(np.diff(np.sign(speed)) != 0.0)])
-    ends = np.flatnonzero(np.diff(stroke, append=stroke[-1] + 1))
-    starts = np.concatenate([[0], ends[:-1] + 1])
-    return np.asarray(np.abs(place[ends] - place[starts])[stroke])
 
 
 # Of columns of length one at random states, a diagonal entry of R: rounding gives 1e-14, true ones exceed 1e-5.

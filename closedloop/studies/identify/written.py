@@ -241,25 +241,6 @@ def torque_figure(found: Identification) -> Figure:
     return figure
 
 
-def interval_figure(found: Identification) -> Figure:
-    """Draw every parameter that is known with its interval, each over its size."""
-    from closedloop.figures.style import COLOURS, new_figure
-
-    known = [e for e in found.estimates if not e.why]
-    figure = new_figure(0.16 * len(known) + 1.0)
-    figure.set_layout_engine("constrained", w_pad=0.12)  # small text is wider in the PNG than where it is laid out
-    axes = figure.subplots()
-    for k, e in enumerate(known):
-        size = max(abs(e.value), (e.high - e.low) / 2.0)
-        axes.plot([e.low / size, e.high / size], [k, k], color=COLOURS[0], lw=2)
-        axes.plot(e.value / size, k, "o", ms=3, color=COLOURS[1])
-    axes.axvline(0.0, color="0.5", lw=0.8)
-    axes.set_yticks(range(len(known)), [e.name for e in known], fontsize=6)
-    axes.set_xlabel("estimate and interval; 1 is the larger of |estimate| and half the interval")
-    axes.invert_yaxis()
-    return figure
-
-
 def write(found: Identification, folder: Path, source: str) -> list[Path]:
     """Write all that was found into a folder that is there; return the paths.
 
@@ -289,5 +270,19 @@ def write(found: Identification, folder: Path, source: str) -> list[Path]:
     paths = [write_whole(folder / name, text.encode()) for name, text in texts.items()]
     with styled():
         paths.append(write_figure(torque_figure(found), folder / "torque"))
-        paths.append(write_figure(interval_figure(found), folder / "intervals"))
+        from closedloop.figures.style import COLOURS, new_figure
+
+        known = [e for e in found.estimates if not e.why]
+        figure = new_figure(0.16 * len(known) + 1.0)
+        figure.set_layout_engine("constrained", w_pad=0.12)  # small text is wider in the PNG than where it is laid out
+        axes = figure.subplots()
+        for k, e in enumerate(known):
+            size = max(abs(e.value), (e.high - e.low) / 2.0)
+            axes.plot([e.low / size, e.high / size], [k, k], color=COLOURS[0], lw=2)
+            axes.plot(e.value / size, k, "o", ms=3, color=COLOURS[1])
+        axes.axvline(0.0, color="0.5", lw=0.8)
+        axes.set_yticks(range(len(known)), [e.name for e in known], fontsize=6)
+        axes.set_xlabel("estimate and interval; 1 is the larger of |estimate| and half the interval")
+        axes.invert_yaxis()
+        paths.append(write_figure(figure, folder / "intervals"))
     return paths

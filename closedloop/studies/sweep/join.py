@@ -37,15 +37,6 @@ if TYPE_CHECKING:
 METADATA = "closedloop_sweep"
 
 
-def description_of(path: Path) -> str:
-    """Return what a table's file says that the sweep is; raises as `pieces` does, KeyError if it says nothing."""
-    from pyarrow import parquet
-
-    with path.open("rb") as opened:
-        said: bytes = (parquet.read_schema(opened).metadata or {})[METADATA.encode()]
-    return said.decode()
-
-
 def pieces(path: Path) -> Iterator[pa.Table]:
     """Yield the rows of a table's file, some at a time; files without checksums, as others write them, are read too.
 
@@ -119,7 +110,13 @@ def write_columns(
         else:
             out.create_variable("time", ("time",), data=step * np.arange(rows)).attrs["units"] = "s"
         for name, wide in widths.items():
-            _create(out, name, rows, wide)
+            column = ALL_COLUMNS[name]
+            if wide and column.dims[1] not in out.dimensions:
+                out.dimensions[column.dims[1]] = wide[0]
+            variable = out.create_variable(
+                name, ("run", *column.dims), "f8", fillvalue=np.nan, chunks=(1, max(rows, 1), *wide), fletcher32=True
+            )  # fmt: skip
+            variable.attrs["units"], variable.attrs["long_name"] = column.units, column.meaning
         first = 0
         for part in range(parts):
             check()
@@ -135,16 +132,6 @@ def write_columns(
     room = sum(runs * (8 * rows * int(np.prod(wide)) + OF_CHUNK) + OF_VARIABLE for wide in widths.values())
     texts = 4 * sum(map(len, attributes.values()))
     write_reserved(path, room + 8 * (runs + rows) + texts, write)
-
-
-def _create(file: Any, name: str, rows: int, wide: tuple[int, ...]) -> None:
-    column = ALL_COLUMNS[name]
-    if wide and column.dims[1] not in file.dimensions:
-        file.dimensions[column.dims[1]] = wide[0]
-    variable = file.create_variable(
-        name, ("run", *column.dims), "f8", fillvalue=np.nan, chunks=(1, max(rows, 1), *wide), fletcher32=True
-    )  # fmt: skip
-    variable.attrs["units"], variable.attrs["long_name"] = column.units, column.meaning
 
 
 # The columns that judge a run's numbers and its control, where the table has them, and what they say of a good one.
@@ -178,7 +165,11 @@ def already_there(identity: dict[str, Any], out: Path) -> Joined | None:
             return None
         found = counted = None
         with unreadable_is_none():
-            found = json.loads(description_of(out))
+            from pyarrow import parquet
+
+            with out.open("rb") as opened:
+                said: bytes = (parquet.read_schema(opened).metadata or {})[METADATA.encode()]
+            found = json.loads(said.decode())
             counted = _Counts(Counter(), Counter(), Counter())
             for rows in pieces(out):
                 counted.add(rows)
@@ -225,7 +216,12 @@ def join(store: Store, out: Path, parts: int, columns: pa.Schema, step: float) -
                     counts.add(rows)
 
         if kept is None and store.overwrite:
-            _remove_columns(out)
+            # Another sweep left its whole columns beside the table that this one replaces.
+            path = out.with_suffix(".nc")
+            if path.is_file() and not path.is_symlink():
+                found = _of_netcdf(path)
+                if isinstance(found, dict) and found.get("format") == FORMAT:
+                    path.unlink()
         if kept is not None:  # first: where the table is, all is there
             write_columns(kept, store, parts, attributes, step, done.check)
         write_whole(out, write_table)
@@ -239,15 +235,6 @@ def join(store: Store, out: Path, parts: int, columns: pa.Schema, step: float) -
         ) from None
     store.remove()
     return Joined(out, kept, *map(dict, counts))
-
-
-def _remove_columns(out: Path) -> None:
-    """Remove the whole columns that another sweep left beside the table that replaces its own."""
-    path = out.with_suffix(".nc")
-    if path.is_file() and not path.is_symlink():
-        found = _of_netcdf(path)
-        if isinstance(found, dict) and found.get("format") == FORMAT:
-            path.unlink()
 
 
 def _rows(store: Store, parts: int, check: Callable[[], None]) -> Iterator[pa.Table]:

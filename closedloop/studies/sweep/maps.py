@@ -322,18 +322,14 @@ def _curves(axes: Axes, table: pa.Table, key: str, name: str, others: Sequence[s
         )  # fmt: skip
     if axes.get_legend_handles_labels()[0]:
         axes.legend(fontsize="small")
-    _perhaps_log(axes, values)
-    scale.dress(axes, "x")
-    axes.set_title(title, fontsize="small", loc="left")
-    axes.set_ylabel(unit)
-
-
-def _perhaps_log(axes: Axes, values: Array) -> None:
     low, high = span(values)
     if low > 0.0 and high > 100.0 * low:
         axes.set_yscale("log")
     elif flat(low, high):
         axes.set_ylim(low - 0.05 * abs(low) - 1e-300, high + 0.05 * abs(high) + 1e-300)
+    scale.dress(axes, "x")
+    axes.set_title(title, fontsize="small", loc="left")
+    axes.set_ylabel(unit)
 
 
 def _map(figure: Figure, axes: Axes, table: pa.Table, x: str, y: str, name: str) -> None:

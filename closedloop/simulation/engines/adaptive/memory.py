@@ -90,12 +90,6 @@ class Memory:
         Stopped
             If there is no solution, or a user's law returns no torque.
         """
-        self.set_time(t, interval)
-        self.put(y)
-        self._evaluate_for(use)
-
-    def set_time(self, t: float, interval: Interval) -> None:
-        """Set the time and the reference to the instant t, s, of the interval."""
         self._wanted[0, : Reference.count(self._problem.robot.n)] = interval.at(t)
         instant, begins = t, self._problem.pd_start
         if interval.start < begins <= interval.end + BEFORE * self.h:
@@ -105,6 +99,8 @@ class Memory:
             span[:, SHARE] = (span[:, BEGIN] <= middle) & (middle < span[:, END])
         # The table's spacing is such that its one row is the one for this instant.
         self.w.time, self.constants.node = instant, instant if instant > 0.0 else 1.0
+        self.put(y)
+        self._evaluate_for(use)
 
     def rate(self, t: float, y: Array, interval: Interval) -> Array:
         """Return ẏ (2 n + k + 1,)."""

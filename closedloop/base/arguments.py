@@ -71,10 +71,7 @@ def arguments_checked(**words: str) -> Callable[[F], F]:
 
     `words` say of an argument what it must be, in place of what its annotation says.
 
-    Raises
-    ------
-    ScenarioError
-        By the function that is made, if an argument has another type, or is NaN.
+    Raises ScenarioError by the function that is made, if an argument has another type, or is NaN.
     """
 
     def made(function: F) -> F:
@@ -99,10 +96,7 @@ def arguments_checked(**words: str) -> Callable[[F], F]:
 def fields_checked(owner: C) -> C:
     """Return a dataclass whose fields are compared with their annotations before what it does after its making.
 
-    Raises
-    ------
-    ScenarioError
-        By the making of one, as by `arguments_checked`.
+    Raises ScenarioError by the making of one, as by `arguments_checked`.
     """
     after = getattr(owner, "__post_init__", None)
 

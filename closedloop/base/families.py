@@ -37,10 +37,7 @@ users: "dict[str, type[Member]]" = {}  # name -> class of every user's member th
 class Member:
     """Base of all members of families.
 
-    Attributes
-    ----------
-    folder : str
-        Of a family's base class: the package whose modules are the members that ship.
+    `folder`: of a family's base class: the package whose modules are the members that ship.
     """
 
     folder: ClassVar[str] = ""
@@ -129,10 +126,7 @@ def signature_faults(member: type[Any], base: type[Any]) -> list[str]:
 
     A function must be static, of the class or of the instance as the base's is, and take as many arguments by place.
 
-    Parameters
-    ----------
-    member, base : type
-        A user's class, and the family's base class.
+    `member`, `base`: a user's class, and the family's base class.
     """
     return [fault for name in _functions(base) if (fault := _fault(name, member, base))]
 
@@ -217,10 +211,7 @@ class Family(Mapping[str, type[M]], Generic[M]):
     def __getitem__(self, name: str) -> type[M]:
         """Return the member with this name.
 
-        Raises
-        ------
-        KeyError
-            If there is none, or it is a user's class not named in this process.
+        Raises KeyError if there is none, or it is a user's class not named in this process.
         """
         if ":" in name:
             known: type[Member] = users[name]
@@ -275,19 +266,12 @@ class Family(Mapping[str, type[M]], Generic[M]):
     def named(self, value: Any, key: str) -> Any:
         """Take what the command line or Python gives for a kind; make a user's class known, and return its name.
 
-        Parameters
-        ----------
-        value : str, type or other
-            A name, MODULE:CLASS, or the class itself. What is none of them is returned as it is, for the validation.
-        key : str
-            The key it was given for, for messages.
-
-        Raises
-        ------
-        ScenarioError
-            If there is no such module or class, the class is none of this family, or a function of it does not take
-            the arguments that it will be given. What a user's module raises
-            while it is imported is raised as it is.
+        `value`: a name, MODULE:CLASS, or the class itself. What is none of them is returned as it is, for the
+            validation.
+        `key`: the key it was given for, for messages.
+        Raises ScenarioError if there is no such module or class, the class is none of this family, or a function of it
+            does not take the arguments that it will be given. What a user's module raises while it is imported is
+            raised as it is.
         """
         if isinstance(value, str) and ":" in value:
             value = self._imported(value, key)

@@ -30,25 +30,15 @@ def write_whole(
 ) -> Path:  # fmt: skip
     """Write a file, and return its path; if that fails, the older file of that name is unchanged.
 
-    Parameters
-    ----------
-    path : str or Path
-        Where it goes. Its folder must be there.
-    content : bytes, or callable
-        What goes into it; or a function that writes it into an open file, which can be read and sought in too. HDF5
-        does not survive a failed write (it ends the process): let it write into memory (`io.BytesIO`), or into a file
-        of which enough is reserved.
-    reserve : int
-        So many bytes of the disk are made sure of before anything is written, where the system can do that; what is
-        not used stays as zeros at the end, unless the function truncates the file.
-    replace : bool
-        Whether an older file of that name is replaced.
-
-    Raises
-    ------
-    OutputError
-        If it cannot be written: no such folder, no permission, a full disk, something there that is no file, or that
-        is not to be replaced.
+    `path`: where it goes. Its folder must be there.
+    `content`: what goes into it; or a function that writes it into an open file, which can be read and sought in too.
+        HDF5 does not survive a failed write (it ends the process): let it write into memory (`io.BytesIO`), or into a
+        file of which enough is reserved.
+    `reserve`: so many bytes of the disk are made sure of before anything is written, where the system can do that; what
+        is not used stays as zeros at the end, unless the function truncates the file.
+    `replace`: whether an older file of that name is replaced.
+    Raises OutputError if it cannot be written: no such folder, no permission, a full disk, something there that is no
+        file, or that is not to be replaced.
     """
     path = Path(path)
     unfinished = path.with_name(_unfinished_name())
@@ -141,10 +131,7 @@ class FolderLock:
     def of(cls, folder: Path) -> "FolderLock | None":
         """Lock a folder; None if another process, or another lock of this one, has it.
 
-        Raises
-        ------
-        FileNotFoundError
-            If there is no such folder, or it was removed meanwhile.
+        Raises FileNotFoundError if there is no such folder, or it was removed meanwhile.
         """
         if fcntl is None:
             return cls(None)

@@ -81,16 +81,10 @@ def run_command(
 ) -> int:
     """Run a command and return its exit status, with all exceptions and output errors handled.
 
-    Parameters
-    ----------
-    name : str
-        What its lines on standard error begin with.
-    main : callable
-        Takes the words of the command line and returns the status.
-    arguments : sequence of str, optional
-        The words; those of the process if left out.
-    stopped : tuple of types
-        Errors with the status 3.
+    `name`: what its lines on standard error begin with.
+    `main`: takes the words of the command line and returns the status.
+    `arguments`: the words; those of the process if left out.
+    `stopped`: errors with the status 3.
     """
     words = sys.argv[1:] if arguments is None else list(arguments)
     if isinstance(sys.stdout, io.TextIOWrapper):

@@ -69,17 +69,9 @@ class Posture(NamedTuple):
 def first_slide(robot: Robot, name: str, force: float | None = None) -> Scenario:
     """Return a scenario in which a robot presses on a surface and slides, with a run whose verdict is good.
 
-    Parameters
-    ----------
-    name : str
-        What `robot.model` is to say.
-    force : float, optional
-        Force to press with, N; if left out the first of `FORCES` with which there is such a scenario.
-
-    Raises
-    ------
-    ScenarioError
-        If none was found; says what was in the way of the one that was nearly right.
+    `name`: what `robot.model` is to say.
+    `force`: force to press with, N; if left out the first of `FORCES` with which there is such a scenario.
+    Raises ScenarioError if none was found; says what was in the way of the one that was nearly right.
     """
     if robot.turns_freely:
         raise ScenarioError(

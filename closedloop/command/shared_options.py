@@ -39,12 +39,8 @@ class _OfScenarios(Parser):
 def scenario_parser(prog: str, rest: str, **settings: Any) -> Parser:
     """Return a parser whose help lists the sections of a scenario and explains each, and each of its keys.
 
-    Parameters
-    ----------
-    prog, rest : str
-        How the command is called, and what follows its options in the usage.
-    **settings
-        See `closedloop.command.border.Parser`.
+    `prog`, `rest`: how the command is called, and what follows its options in the usage.
+    `**settings`: see `closedloop.command.border.Parser`.
     """
     parser = _OfScenarios(
         prog=prog, usage=f"{prog} {rest} [options] [--SECTION.KEY VALUE ...]", formatter_class=OneScreen,

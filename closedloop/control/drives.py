@@ -92,10 +92,7 @@ class DrivesSection(Section):
 def torque_limits(section: DrivesSection, model: RobotModel) -> Array:
     """Return the largest torque of each joint (n,), N m; ∞ where there is none.
 
-    Raises
-    ------
-    ScenarioError
-        If a list has not one entry a joint, or the robot's file has no effort limit.
+    Raises ScenarioError if a list has not one entry a joint, or the robot's file has no effort limit.
     """
     limit = section.torque_limit
     if limit is None:
@@ -113,17 +110,9 @@ def torque_limits(section: DrivesSection, model: RobotModel) -> Array:
 def torque_steps(section: DrivesSection, model: RobotModel, period: float | None) -> Array:
     """Return by how much each torque may change from sample to sample (n,), N m; ∞ where there is no rate limit.
 
-    Parameters
-    ----------
-    section, model
-        The limits and the robot.
-    period : float or None
-        Time between two samples of the law, s; None: it is not sampled.
-
-    Raises
-    ------
-    ScenarioError
-        If a list has not one entry a joint, or the law is not sampled.
+    `section`, `model`: the limits and the robot.
+    `period`: time between two samples of the law, s; None: it is not sampled.
+    Raises ScenarioError if a list has not one entry a joint, or the law is not sampled.
     """
     if section.rate_limit is None:
         return np.full(model.n, math.inf)
@@ -139,16 +128,10 @@ def torque_steps(section: DrivesSection, model: RobotModel, period: float | None
 def cut_torque(torque: Array, before: Array, change: Array, limit: Array, first: bool, limited: Array) -> None:
     """Cut the torque (n,), N m, to what the drives can give, and write `limited` (n,), see `AS_ASKED`.
 
-    Parameters
-    ----------
-    torque, before : (n,) arrays
-        The torque asked for, overwritten, and that of the sample before.
-    change, limit : (n,) arrays
-        Largest change between the two, and largest torque.
-    first : bool
-        Whether there is no sample before.
-    limited : (n,) array
-        Written.
+    `torque`, `before`, (n,) arrays: the torque asked for, overwritten, and that of the sample before.
+    `change`, `limit`, (n,) arrays: largest change between the two, and largest torque.
+    `first`: whether there is no sample before.
+    `limited` (n,): written.
     """
     for j in range(torque.shape[0]):
         asked = torque[j]
@@ -208,10 +191,8 @@ def transmission_constants(section: TransmissionSection, model: RobotModel) -> A
     that rubs. A stiffness of zero is that of a rigid joint. Joints without a drive, which loops may have, have no
     motor, and are zero.
 
-    Raises
-    ------
-    ScenarioError
-        If a list has not one entry a joint, the inertia of a motor is not known, or there is no spring to it all.
+    Raises ScenarioError if a list has not one entry a joint, the inertia of a motor is not known, or there is no spring
+        to it all.
     """
     if section.stiffness is None:
         usual = TransmissionSection()

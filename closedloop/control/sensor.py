@@ -109,10 +109,7 @@ class PackedSensor(NamedTuple):
 def pack_sensor(section: SensorSection, period: float) -> PackedSensor:
     """Turn the section into numbers for a sensor that is sampled every `period`, s.
 
-    Raises
-    ------
-    ScenarioError
-        If the delay is no whole number of samples, or the low-pass is faster than the sampling.
+    Raises ScenarioError if the delay is no whole number of samples, or the low-pass is faster than the sampling.
     """
     delay = round(section.delay / period) if section.delay / period < 2 * MOST_DELAYED else 2 * MOST_DELAYED
     if delay > MOST_DELAYED:
@@ -205,18 +202,11 @@ def quantised(reading: float, quantum: float) -> float:
 def sense(signal: float, bias: float, sample: int, par: Any, normal: float, ring: Array) -> float:
     """Take a sample of one axis and return the controller's present reading, N.
 
-    Parameters
-    ----------
-    signal, bias : float
-        See `signal_of` and `bias_at`, N.
-    sample : int
-        How many samples were taken before this one.
-    par
-        See `PackedSensor`.
-    normal : float
-        A standard normal number, for the noise.
-    ring : (delay + 1,) array
-        The latest samples; written.
+    `signal`, `bias`: see `signal_of` and `bias_at`, N.
+    `sample`: how many samples were taken before this one.
+    `par`: see `PackedSensor`.
+    `normal`: a standard normal number, for the noise.
+    `ring` (delay + 1,): the latest samples; written.
     """
     reading = quantised(cut(signal + bias + par.noise * normal, par.saturation), par.quantisation)
     size = ring.shape[0]
@@ -310,22 +300,13 @@ def read_encoder(
 ) -> tuple[float, float]:
     """Return the position and velocity that the encoder of joint j reads, rad and rad/s (m, m/s).
 
-    Parameters
-    ----------
-    kind : int
-        See `encoder_kind`.
-    state : two floats
-        True position and velocity.
-    j : int
-        The joint.
-    par : EncoderParameters
-        Parameters by name.
-    normal : (2 n,) array
-        Standard normal numbers, see `encoder_draws`.
-    h : float
-        Time since the reading before, s; 0: there is none.
-    before : two (n,) arrays
-        Positions and velocities read then.
+    `kind`: see `encoder_kind`.
+    `state`: true position and velocity.
+    `j`: the joint.
+    `par`: parameters by name.
+    `normal` (2 n,): standard normal numbers, see `encoder_draws`.
+    `h`: time since the reading before, s; 0: there is none.
+    `before`, two (n,) arrays: positions and velocities read then.
     """
     (q, v), (last, speed) = state, before
     position: float = quantised(q + par.noise[j] * normal[j], par.quantisation[j])

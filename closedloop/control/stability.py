@@ -43,13 +43,8 @@ def force_loop_settles(feedback: float, integral: float, sensor: SensorSection, 
     recursion cost their cube. The contour is refined where F comes near zero, so the result is that of the eigenvalues
     but for gains within rounding of the limit, which count as stable.
 
-    Parameters
-    ----------
-    feedback, integral : float
-        K_f, and K_I, 1/s.
-    sensor : SensorSection
-    period : float
-        Time between two samples, s.
+    `feedback`, `integral`: K_f, and K_I, 1/s.
+    `period`: time between two samples, s.
     """
     packed = pack_sensor(sensor, period)
     age = packed.ring  # m
@@ -80,10 +75,7 @@ def force_loop_settles(feedback: float, integral: float, sensor: SensorSection, 
 def check_sampling(law: ControlLaw, compensation: Compensation | None, sensor: SensorSection, period: float) -> None:
     """Refuse gains with which the sampled loop diverges.
 
-    Parameters
-    ----------
-    period : float
-        Time between two evaluations of the law, s.
+    `period`: time between two evaluations of the law, s.
     """
     if law.force_integral > 0.0 and not force_loop_settles(0.0, law.force_integral, sensor, period):
         most = _most(lambda k: force_loop_settles(0.0, k, sensor, period), law.force_integral)

@@ -84,14 +84,10 @@ def pseudo_inverse(M: Array, scratch: Array, P: Array) -> int:
 
     Returns how many eigenvalues counted: the rank.
 
-    Parameters
-    ----------
-    M : (3, 3) array
-        Symmetric.
-    scratch : (36,) array
-    P : (3, 3) array
-        Written (it may be M itself): the sum of x xᵀ/λ over the eigenvectors x whose eigenvalue λ is above `IMMOBILE`
-        of the trace. Along the others (a planar arm, sideways) the arm cannot move the tip.
+    `M` (3, 3): symmetric.
+    `scratch` (36,).
+    `P` (3, 3): written (it may be M itself): the sum of x xᵀ/λ over the eigenvectors x whose eigenvalue λ is above
+        `IMMOBILE` of the trace. Along the others (a planar arm, sideways) the arm cannot move the tip.
     """
     W, V, given = matrix_of(scratch, 3, 3), matrix_of(scratch[9:18], 3, 3), matrix_of(scratch[18:27], 3, 3)
     trace = M[0, 0] + M[1, 1] + M[2, 2]

@@ -116,10 +116,7 @@ def panels(
 
     Where one Axes is given, it is the first panel; the others are drawn, and nobody sees them.
 
-    Raises
-    ------
-    ValueError
-        If as many axes are given as are no number of panels.
+    Raises ValueError if as many axes are given as are no number of panels.
     """
     if ax is None:
         figure = new_figure(height)
@@ -288,14 +285,9 @@ def dress(
 ) -> None:
     """Give a panel over the time of these rows its title, axes, marks, bands and events.
 
-    Parameters
-    ----------
-    title : str
-        The robot's name is added where marks are labelled.
-    label : str
-        Of the vertical axis, with its unit.
-    label_marks, show_events : bool
-        Off for all but one of several panels over the same time.
+    `title`: the robot's name is added where marks are labelled.
+    `label`: of the vertical axis, with its unit.
+    `label_marks`, `show_events`: off for all but one of several panels over the same time.
     """
     axes.set(title=f"{title} ({run.model.name})" if label_marks else title, xlabel=TIME, ylabel=label)
     begin = float(run.time[rows][0])
@@ -388,12 +380,8 @@ def position_rounding(run: Run) -> float:
 def mark_rounding(axes: Axes, size: float, level: float, factor: float) -> None:
     """Draw the level of rounding, where what is drawn is no larger than some of it.
 
-    Parameters
-    ----------
-    size : float
-        Largest absolute value drawn, m.
-    level, factor : float
-        Rounding, m, and the factor of the unit drawn.
+    `size`: largest absolute value drawn, m.
+    `level`, `factor`: rounding, m, and the factor of the unit drawn.
     """
     if size > NEAR_ROUNDING * level:
         return

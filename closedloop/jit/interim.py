@@ -31,31 +31,17 @@ class Interim:
     process in the background does it (`closedloop.jit.background`), and this one goes over to the compiled form as
     soon as that is on the disk. Each call begins from what the last one left, so nothing depends on when that is.
 
-    Parameters
-    ----------
-    function : callable
-        The kernel, an `entry_kernel`.
-    written : sequence of arrays
-        What a call reads and changes: it is put back if a call must be begun again, or is interrupted.
-    calls : int
-        How many calls there will be, about.
-    with_it : sequence of callables
-        What else the caller will want compiled.
-    on_compiled : callable
-        Called before the compiled form is, for the first time.
-    called : sequence of callables
-        What of this it calls by address.
-    on_called_compiled : callable
-        Called once these are compiled, though the kernel itself is not: from then on it may call them so.
-    share_done : callable, optional
-        Returns which share of all work is done; of the calls, if left out.
-    later : sequence of callables
-        What later runs will want: compiled in the background as well, and not waited for.
-
-    Attributes
-    ----------
-    compiling : float
-        Time that was spent on compiling or loading the compiled form so far, s.
+    `function`: the kernel, an `entry_kernel`.
+    `written`: what a call reads and changes: it is put back if a call must be begun again, or is interrupted.
+    `calls`: how many calls there will be, about.
+    `with_it`: what else the caller will want compiled.
+    `on_compiled`: called before the compiled form is, for the first time.
+    `called`: what of this it calls by address.
+    `on_called_compiled`: called once these are compiled, though the kernel itself is not: from then on it may call them
+        so.
+    `share_done`: returns which share of all work is done; of the calls, if left out.
+    `later`: what later runs will want: compiled in the background as well, and not waited for.
+    `compiling`, float: time that was spent on compiling or loading the compiled form so far, s.
     """
 
     def __init__(
@@ -195,16 +181,10 @@ def compile_ahead(functions: Sequence[Callable[..., Any]]) -> None:
 def call_once(function: Callable[..., Any], written: Sequence[NDArray[Any]], brief: bool, *arguments: Any) -> Any:
     """Call a kernel of which a run needs a call or two; within `not_compiled_first` interpreted, if that is brief.
 
-    Parameters
-    ----------
-    function : callable
-        The kernel, an `entry_kernel`.
-    written : sequence of arrays
-        What the call changes: it is put back if the call must be begun again, compiled.
-    brief : bool
-        Whether it is done, interpreted, before it would be compiled; else it is compiled first.
-    *arguments
-        An entry among them is given to the kernel as its address, see `closedloop.jit.calls`.
+    `function`: the kernel, an `entry_kernel`.
+    `written`: what the call changes: it is put back if the call must be begun again, compiled.
+    `brief`: whether it is done, interpreted, before it would be compiled; else it is compiled first.
+    `*arguments`: an entry among them is given to the kernel as its address, see `closedloop.jit.calls`.
     """
     needed = function, *filter(callable, arguments)
     interpretable = brief and not _compiled_first.get() and not all(map(at_hand, needed))

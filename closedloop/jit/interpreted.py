@@ -68,10 +68,7 @@ def interpreted(function: F) -> F:
     ArithmeticError or a ValueError (1.0 / 0.0, math.sqrt(-1.0)), compiled code goes on with what IEEE 754 says. What
     numpy warns of in the twin, compiled code does in silence.
 
-    Parameters
-    ----------
-    function : callable
-        A function with the attribute `py_func`; another is returned as it is, as with ``NUMBA_DISABLE_JIT=1``.
+    `function`: a function with the attribute `py_func`; another is returned as it is, as with ``NUMBA_DISABLE_JIT=1``.
     """
     if not hasattr(function, "py_func"):
         return function

@@ -31,19 +31,11 @@ class Kernel:
     So neither importing a kernel nor running its Python function costs the start of numba, half a second. Where numba
     meets one, in another kernel, `_numba_type_` gives it the dispatcher.
 
-    Parameters
-    ----------
-    function : callable
-        The Python function.
-    make : callable
-        Makes the dispatcher of it.
-
-    Attributes
-    ----------
-    py_func, make : callable
-        The same.
-    unguarded : callable or None
-        Of an entry that catches what a user's function raises, the one that does not: interpreted code runs that.
+    `function`: the Python function.
+    `make`: makes the dispatcher of it.
+    `py_func`, `make`: the same.
+    `unguarded`: of an entry that catches what a user's function raises, the one that does not: interpreted code runs
+        that.
     """
 
     unguarded: Any = None

@@ -111,21 +111,11 @@ def _values(section: Section) -> dict[str, Any]:
 def pack(section: Section, n: int, where: str, joint_names: Sequence[str] = ()) -> Array:
     """Return the numbers of a section for n joints, as its `parameter_block` has them.
 
-    Parameters
-    ----------
-    section : Section
-        What it leaves out (None) is what its method `resolved` says, if it has one, else NaN.
-    n : int
-        Number of joints.
-    where : str
-        The section's name in messages.
-    joint_names : sequence of str
-        For messages.
-
-    Raises
-    ------
-    ScenarioError
-        If a list has not one entry a joint.
+    `section`: what it leaves out (None) is what its method `resolved` says, if it has one, else NaN.
+    `n`: number of joints.
+    `where`: the section's name in messages.
+    `joint_names`: for messages.
+    Raises ScenarioError if a list has not one entry a joint.
     """
     kind = parameter_block(type(section))
     values, memory, counts = _values(section), np.zeros(kind.count(n)), kind.layout.shape
@@ -171,10 +161,7 @@ def pack_each_joint(section: Section, n: int, where: str) -> Array:
 def per_joint(key: str, value: float | tuple[float, ...], n: int, joint_names: Sequence[str] = ()) -> Array:
     """Return one number a joint (n,); `key` names it in messages.
 
-    Raises
-    ------
-    ScenarioError
-        If a list has another length.
+    Raises ScenarioError if a list has another length.
     """
     if not isinstance(value, tuple):
         return np.full(n, float(value))

@@ -36,14 +36,9 @@ def why_not_compiled(
 ) -> str:
     """Return what numba cannot do with a user's function, and in which line of whose file, on one line.
 
-    Parameters
-    ----------
-    error : exception
-        What numba raised.
-    files : sequence of str
-        The user's files, in which the line is looked for.
-    known : mapping of str to sequence of str
-        Names of types, and of what they have, for "did you mean".
+    `error`: what numba raised.
+    `files`: the user's files, in which the line is looked for.
+    `known`: names of types, and of what they have, for "did you mean".
     """
     text = re.sub(r"\x1b\[[0-9;]*m", "", str(error))  # numba colours its words on a terminal
     return _place(text, error, files) + _what(text, error, known or {})

@@ -220,10 +220,7 @@ def nearest_triangles(corners: Array, size: tuple[int, int]) -> NDArray[np.int64
 
     Each row of points that a triangle reaches is cut by its three edges: what is left are the points that it covers.
 
-    Parameters
-    ----------
-    corners : (k, 3, 3) array
-        x to the right and y upwards, points of the picture; depth, larger is farther.
+    `corners` (k, 3, 3): x to the right and y upwards, points of the picture; depth, larger is farther.
     """
     height, width = size
     x, y, z = np.moveaxis(corners, 2, 0)

@@ -92,35 +92,17 @@ STOPPED = "The lab was closed. What is shown stays; open the lab again to go on.
 class Lab:
     """A lab of one scenario, served to a browser.
 
-    Parameters
-    ----------
-    law : callable, optional
-        A user's law, see `closedloop.simulate`.
-    port : int
-        The next free one is taken if it is in use.
-    dark : bool
-        Whether the page is dark, whatever the system prefers.
-    front : bool
-        Whether the page begins with the scenarios that ship, to choose one.
-    ghosts : sequence of Ghost
-        Bodies that are shown beside those of each run, until another scenario is chosen.
-    act, details, map_work : callable
-        The parts that know the whole: `closedloop.lab.actions.act`, `closedloop.lab.details.Details`,
-        `closedloop.lab.mapping.MapWork`; see `closedloop.lab.start.begun`.
-
-    Attributes
-    ----------
-    after_show : list of callable
-        Called with each `Answer` whose curves were sent.
-    folder : Path or None
-        Where folders for files are made; "out" in the current folder if None.
-
-    Raises
-    ------
-    ScenarioError, ModelError
-        If the scenario that it begins with is at fault.
-    OutputError
-        If it cannot listen there.
+    `law`: a user's law, see `closedloop.simulate`.
+    `port`: the next free one is taken if it is in use.
+    `dark`: whether the page is dark, whatever the system prefers.
+    `front`: whether the page begins with the scenarios that ship, to choose one.
+    `ghosts`: bodies that are shown beside those of each run, until another scenario is chosen.
+    `act`, `details`, `map_work`: the parts that know the whole: `closedloop.lab.actions.act`,
+        `closedloop.lab.details.Details`, `closedloop.lab.mapping.MapWork`; see `closedloop.lab.start.begun`.
+    `after_show`, list of callable: called with each `Answer` whose curves were sent.
+    `folder`, Path or None: where folders for files are made; "out" in the current folder if None.
+    Raises ScenarioError or ModelError if the scenario that it begins with is at fault.
+    Raises OutputError if it cannot listen there.
     """
 
     def __init__(

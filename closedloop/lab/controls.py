@@ -134,10 +134,7 @@ class Control:
     def read(self, shown: Any) -> Any:
         """Return the value of the key for what the control shows; None: left out.
 
-        Raises
-        ------
-        ValueError
-            If the control cannot show that: what comes from a browser may be anything.
+        Raises ValueError if the control cannot show that: what comes from a browser may be anything.
         """
         if self.form == "choice":
             if shown not in self.options:
@@ -187,12 +184,8 @@ class Control:
 def controls(scenario: Scenario, section: str, model: RobotModel | None = None) -> list[Control]:
     """Return the controls of a section of a scenario, that of its kind first, then the force if it has one.
 
-    Parameters
-    ----------
-    section : str
-        Such as "law".
-    model : RobotModel, optional
-        Its joints' names and bounds; without it lists are counted.
+    `section`: such as "law".
+    `model`: its joints' names and bounds; without it lists are counted.
     """
     held = getattr(scenario, section)
     if table_type(section):
@@ -365,10 +358,7 @@ def all_controls(scenario: Scenario, model: RobotModel, law: str = "") -> dict[t
 def rows_in_groups(found: Iterable[Control], first: dict[tuple[str, int | None], Any], changes: Changes) -> list[Row]:
     """Return the groups that have controls, in order, each with its rows.
 
-    Parameters
-    ----------
-    first : dict
-        The value with which each began, by key and number of the entry.
+    `first`: the value with which each began, by key and number of the entry.
     """
     groups: dict[str, list[Row]] = {name: [] for name in ORDER}
     opened = set(OPEN)

@@ -25,12 +25,8 @@ def difference(
 ) -> str:
     """Return how inputs differ: of two scenarios the first key that does, with its values, else what differs.
 
-    Parameters
-    ----------
-    names : mapping of str to str
-        What they are called.
-    found, question : mapping
-        The inputs there and those asked for; "scenario" is TOML text.
+    `names`: what they are called.
+    `found`, `question`: the inputs there and those asked for; "scenario" is TOML text.
     """
     different = dict.fromkeys(names.get(key, key) for key in keys)
     if "scenario" in different:
@@ -74,12 +70,8 @@ def data_frame(
 ) -> pandas.DataFrame:  # fmt: skip
     """Return columns over time as a DataFrame, one for each component, its index the time, s.
 
-    Parameters
-    ----------
-    columns : mapping of str to array
-        Columns (N,) or (N, k) by their names, "time" among them.
-    dims : mapping of str to tuple of str
-        Dimensions of each: ("time",), ("time", "joint"), ("time", "axis") or ("time", "component").
+    `columns`: columns (N,) or (N, k) by their names, "time" among them.
+    `dims`: dimensions of each: ("time",), ("time", "joint"), ("time", "axis") or ("time", "component").
     """
     needs("pandas")
     import pandas

@@ -55,20 +55,11 @@ def write_netcdf(
 ) -> Path:  # fmt: skip
     """Write a NetCDF-4 file whole, or not at all.
 
-    Parameters
-    ----------
-    dimensions : mapping
-        Lengths by name.
-    variables : mapping
-        By name; one with the name of a dimension has that dimension alone.
-    attributes : mapping
-        The file's own attributes.
-    then : callable
-        Writes what goes behind it.
-
-    Raises
-    ------
-    OutputError
+    `dimensions`: lengths by name.
+    `variables`: by name; one with the name of a dimension has that dimension alone.
+    `attributes`: the file's own attributes.
+    `then`: writes what goes behind it.
+    Raises OutputError.
     """
     import h5py
 
@@ -128,10 +119,7 @@ def seal_file(file: BinaryIO) -> None:
 def unsealed(whole: memoryview) -> memoryview | None:
     """Return what stands before the line at the end of a file's bytes, None if there is no line.
 
-    Raises
-    ------
-    ValueError
-        If its SHA-256 is another.
+    Raises ValueError if its SHA-256 is another.
     """
     content, line = whole[:-SEAL_LENGTH], bytes(whole[-SEAL_LENGTH:])
     if not line.startswith(_WORDS):
@@ -146,13 +134,9 @@ def read_sealed(path: Path, names: list[str]) -> tuple[Attributes, Columns]:
 
     Columns that the attribute `added` names are read as well.
 
-    Raises
-    ------
-    RunFileError
-        If it is no file, or damaged, or a column is no numbers, larger than the file can hold, or not in the file
-        itself; the message does not name the file.
-    OSError
-        If the system refuses it.
+    Raises RunFileError if it is no file, or damaged, or a column is no numbers, larger than the file can hold, or not
+        in the file itself; the message does not name the file.
+    Raises OSError if the system refuses it.
     """
     try:
         found = path.stat()
@@ -344,10 +328,7 @@ def checksum(found: Mapping[str, Any], columns: Mapping[str, NDArray[Any]]) -> s
 def save_run(run: Record, path: str | Path) -> Path:
     """Write a run and return the path; an older file is replaced only once the new one is whole.
 
-    Raises
-    ------
-    OutputError
-        If the file cannot be written.
+    Raises OutputError if the file cannot be written.
     """
     variables = {
         name: Variable(spec.dims, np.asarray(run.columns[name]), {"units": run.units(name), "long_name": spec.meaning})

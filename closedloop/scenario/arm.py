@@ -121,10 +121,7 @@ def robot_of(scenario: Scenario, model: RobotModel) -> Robot:
 def moved_frames(scenario: Scenario, robot: Robot) -> tuple[MovedFrame, ...]:
     """Return each [[mocap]] of a scenario where the robot has it.
 
-    Raises
-    ------
-    ScenarioError
-        If it is no frame that is fixed to the world, two are one, or no loop joint holds onto one.
+    Raises ScenarioError if it is no frame that is fixed to the world, two are one, or no loop joint holds onto one.
     """
     found: list[MovedFrame] = []
     for k, section in enumerate(scenario.mocap or ()):

@@ -94,11 +94,8 @@ class Variants:
     def look(self, points: Sequence[Sequence[Any]]) -> Scenario:
         """Return the first of these scenarios that can be read; see `LOOKED_AT`.
 
-        Raises
-        ------
-        ScenarioError
-            What is wrong with the first, if none of those looked at can be read: a key is unknown, most likely. An
-            unforeseen error is raised as it is.
+        Raises ScenarioError: what is wrong with the first, if none of those looked at can be read: a key is unknown,
+            most likely. An unforeseen error is raised as it is.
         """
         first: Exception | None = None
         for at in sorted(set(np.linspace(0, len(points) - 1, LOOKED_AT).round().astype(int).tolist())):
@@ -113,10 +110,7 @@ class Variants:
 def _sections_with(sections: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Section]:
     """Return those of the sections that have other values of keys.
 
-    Raises
-    ------
-    ValidationError
-        If a value is wrong.
+    Raises ValidationError if a value is wrong.
     """
     found: dict[str, Section] = {}
     for key, value in changes.items():
@@ -142,12 +136,8 @@ def replaced(scenario: Scenario, changes: Mapping[str, Any]) -> Scenario:
 def refuse_lost(given: Mapping[str, Any], kinds: Iterable[tuple[str, Any]]) -> None:
     """Refuse a key given beside kinds that change from run to run, if one of these kinds does not know it.
 
-    Parameters
-    ----------
-    given : mapping
-        The overrides that all runs have in common.
-    kinds : iterable of (str, value)
-        Keys that change, and one of their values each; only those that pick a kind matter.
+    `given`: the overrides that all runs have in common.
+    `kinds`: keys that change, and one of their values each; only those that pick a kind matter.
     """
     from closedloop.scenario.messages import variant_keys
 

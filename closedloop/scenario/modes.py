@@ -69,15 +69,10 @@ class Feedback(NamedTuple):
 def growth(feedback: Feedback, integrator: str, h: float, hold: int = 0) -> float:
     """Return the spectral radius of one step, or of one held sample: stable up to 1.
 
-    Parameters
-    ----------
-    feedback : Feedback
-    integrator : str
-        See `closedloop.mechanics.integrators`; an adaptive one is stable with any gains but those of a held torque.
-    h : float
-        Step, s.
-    hold : int
-        Steps for which a sampled torque is held; 0: the law is evaluated at every stage.
+    `integrator`: see `closedloop.mechanics.integrators`; an adaptive one is stable with any gains but those of a held
+        torque.
+    `h`: step, s.
+    `hold`: steps for which a sampled torque is held; 0: the law is evaluated at every stage.
     """
     K, D = h * h * feedback.stiffness, h * feedback.damping
     m, eye = K.shape[0], np.eye(K.shape[0])
@@ -106,12 +101,8 @@ def _early(integrator: str) -> float:
 def gains_fault(scenario: Scenario, robot: Robot) -> str:
     """Return a line about gains of the scenario's law that are unstable with its step, or an empty string.
 
-    Parameters
-    ----------
-    scenario : Scenario
-        One that can be prepared.
-    robot : Robot
-        Its robot with its tip.
+    `scenario`: one that can be prepared.
+    `robot`: its robot with its tip.
     """
     h, period = scenario.time.step, scenario.law.sample_period
     hold = round(period / h) if period else int(scenario.reads_encoders)
@@ -457,22 +448,13 @@ def unresolved(
 ) -> list[str]:  # fmt: skip
     """Return a line for each fast part that the step does not resolve, with a step that would; not of the law alone.
 
-    Parameters
-    ----------
-    scenario, robot
-        What is run, and its robot with its tip.
-    q : (n,) array
-        A posture.
-    normal : (3,) array
-        The unit normal of the surface there, base axes.
-    depth : float
-        How deep the tip is in the surface there, m.
-    sliding : callable
-        Returns where the tip slips with the most friction; called only if there is viscous friction in joints.
-    own_law : bool
-        Whether the law is a user's, of whose feedback nothing is known.
-    pressed : callable
-        Returns where contacts of links press; called only if there are bristles or viscous friction in one.
+    `scenario`, `robot`: what is run, and its robot with its tip.
+    `q` (n,): a posture.
+    `normal` (3,): the unit normal of the surface there, base axes.
+    `depth`: how deep the tip is in the surface there, m.
+    `sliding`: returns where the tip slips with the most friction; called only if there is viscous friction in joints.
+    `own_law`: whether the law is a user's, of whose feedback nothing is known.
+    `pressed`: returns where contacts of links press; called only if there are bristles or viscous friction in one.
     """
     soft, elastic = scenario.compliance.kind != "none", scenario.transmission.elastic
     in_joints = joint_friction_of(scenario, robot.model)

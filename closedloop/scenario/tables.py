@@ -74,10 +74,7 @@ def rectangle(length: float, width: float, points: tuple[int, int]) -> Array:
 def points_of_face(face: dict[str, Any], name: str) -> list[list[float]]:
     """Return the points of a face, m, axes of its link.
 
-    Raises
-    ------
-    ScenarioError
-        If the face is none.
+    Raises ScenarioError if the face is none.
     """
     where = f"contact {name!r}: at"
     kinds = {"disc": "rings", "rectangle": "points"}
@@ -108,10 +105,7 @@ def points_of_face(face: dict[str, Any], name: str) -> list[list[float]]:
 def share_of(compliance: Any, count: int, name: str) -> dict[str, Any]:
     """Return the compliance of each of so many points that share that of a face.
 
-    Raises
-    ------
-    ScenarioError
-        If it has none that can be shared.
+    Raises ScenarioError if it has none that can be shared.
     """
     kind = compliance.get("kind") if isinstance(compliance, dict) else None
     if kind not in SHARED:

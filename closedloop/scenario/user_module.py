@@ -55,20 +55,11 @@ def importing(option: str, name: str, wanted: str) -> Iterator[tuple[str, str]]:
 
     What the module prints as it is imported goes to standard error: standard output is for results.
 
-    Parameters
-    ----------
-    option : str
-        For messages, such as ``--law``.
-    name : str
-        MODULE:NAME.
-    wanted : str
-        What it should look like.
-
-    Raises
-    ------
-    ScenarioError
-        If it does not look like that, there is no such module, or it cannot be imported; says in which line of which
-        file.
+    `option`: for messages, such as ``--law``.
+    `name`: MODULE:NAME.
+    `wanted`: what it should look like.
+    Raises ScenarioError if it does not look like that, there is no such module, or it cannot be imported; says in which
+        line of which file.
     """
     module, _, attribute = name.partition(":")
     if not (attribute and all(part.isidentifier() for part in module.split("."))):
@@ -182,10 +173,7 @@ def _keys_of_kinds() -> tuple[list[str], list[str]]:
 def member_digests(scenario: Scenario) -> dict[str, str]:
     """Return, for each user's class in a scenario, name -> SHA-256 of the text that it is defined in, "" if unknown.
 
-    Raises
-    ------
-    ScenarioError
-        If it was read from a run file with a class that has not been named in this process.
+    Raises ScenarioError if it was read from a run file with a class that has not been named in this process.
     """
     found = {}
     for key, name in members_of_users(scenario).items():

@@ -56,12 +56,8 @@ class Request(NamedTuple):
 class States:
     """States as one array of doubles, in the order of `FIELDS`.
 
-    Attributes
-    ----------
-    places : dict of str to slice
-        Where each field is.
-    message : bytearray
-        The binary answer with the latest of them.
+    `places`, dict of str to slice: where each field is.
+    `message`, bytearray: the binary answer with the latest of them.
     """
 
     def __init__(self, session: Session) -> None:
@@ -123,10 +119,7 @@ class JsonLines:
     def request(self, client: Client) -> Request | str | None:
         """Return the next message of a client, what is wrong with it, or None if it is not whole yet.
 
-        Raises
-        ------
-        Gone
-            If what follows cannot be told apart from it.
+        Raises Gone if what follows cannot be told apart from it.
         """
         end = client.received.find(b"\n")
         if max(end, 0 if end >= 0 else len(client.received)) > LONGEST:
@@ -209,10 +202,7 @@ Codec = JsonLines | Binary
 def codec_of(client: Client, states: States) -> Codec | None:
     """Return the codec of a client from how it begins, None if it has not said enough; magic bytes are taken.
 
-    Raises
-    ------
-    Gone
-        If it begins in another way.
+    Raises Gone if it begins in another way.
     """
     begun = bytes(client.received[:4])
     if begun[:1] == b"{":

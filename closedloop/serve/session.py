@@ -22,10 +22,7 @@ LATEST, SHORTEST = 0.02, 0.6
 class Clock:
     """Instants that are one period apart.
 
-    Attributes
-    ----------
-    late : int
-        Instants that were skipped because the server came more than `LATEST` late.
+    `late`, int: instants that were skipped because the server came more than `LATEST` late.
     """
 
     def __init__(self, period: float) -> None:
@@ -55,12 +52,9 @@ class Clock:
 class Session(Simulator):
     """A simulation that clients drive one after the other, and how many of its cycles had a command.
 
-    Attributes
-    ----------
-    cycles, lost : int
-        Steps since the last reset during which a client drove, and those of them for which no command came in time.
-    late : int
-        Instants of real time that this computer was too late for, see `Clock`.
+    `cycles`, `lost`, int: steps since the last reset during which a client drove, and those of them for which no
+        command came in time.
+    `late`, int: instants of real time that this computer was too late for, see `Clock`.
     """
 
     def __init__(self, scenario: Scenario) -> None:
@@ -77,25 +71,13 @@ class Session(Simulator):
 class Interface:
     """An interface to a session; a subclass answers clients in `serve`, in a thread of its own.
 
-    Attributes
-    ----------
-    ports : tuple of Port
-        Where it listens.
-    numbers : tuple of int
-        The ports that its real counterpart has, 0: any that is free.
-
-    Parameters
-    ----------
-    session : Session
-        The simulation.
-    host, port : str and int or None
-        Where it listens: `port` and those after it, None: `numbers`, 0: any that are free.
-    lock_step : bool
-        Whether time goes on only with each command; else it goes on with the wall clock.
-    limits : bool
-        Whether limits act as on the real arm, where the interface has such.
-    say : callable
-        Is given a line about each client that comes, goes or is refused.
+    `ports`: where it listens.
+    `numbers`: the ports that its real counterpart has, 0: any that is free.
+    `session`: the simulation.
+    `host`, `port`: where it listens: `port` and those after it, None: `numbers`, 0: any that are free.
+    `lock_step`: whether time goes on only with each command; else it goes on with the wall clock.
+    `limits`: whether limits act as on the real arm, where the interface has such.
+    `say`: is given a line about each client that comes, goes or is refused.
     """
 
     numbers: ClassVar[tuple[int, ...]] = (0,)

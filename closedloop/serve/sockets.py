@@ -40,14 +40,9 @@ class Request(NamedTuple):
 class Client:
     """The connection of a client.
 
-    Attributes
-    ----------
-    name : str
-        Its address and port.
-    host : str
-        Its address.
-    received : bytearray
-        What has come and has not been taken yet.
+    `name`, str: its address and port.
+    `host`, str: its address.
+    `received`, bytearray: what has come and has not been taken yet.
     """
 
     def __init__(self, sock: socket.socket, address: tuple[str, int]) -> None:
@@ -70,10 +65,7 @@ class Client:
     def receive(self) -> bool:
         """Read what is there, and return whether there was something within `POLL`.
 
-        Raises
-        ------
-        Gone
-            If the client has closed its end, or sends more than is taken.
+        Raises Gone if the client has closed its end, or sends more than is taken.
         """
         try:
             count = self._reader.recv_into(self._chunk)
@@ -99,10 +91,7 @@ class Client:
 
         `of` names in messages whose commands they are.
 
-        Raises
-        ------
-        Gone
-            If there is no such command, or its length is another.
+        Raises Gone if there is no such command, or its length is another.
         """
         while len(self.received) >= head.size:
             command, number, size = head.unpack_from(self.received)
@@ -118,10 +107,7 @@ class Client:
     def send(self, message: bytes | bytearray) -> None:
         """Send a message whole.
 
-        Raises
-        ------
-        Gone
-            If the client does not take it.
+        Raises Gone if the client does not take it.
         """
         try:
             self.sock.sendall(message)
@@ -138,17 +124,9 @@ class Client:
 class Port:
     """A port on which one client at a time is served.
 
-    Attributes
-    ----------
-    number : int
-        The port.
-    client : Client or None
-        The present client.
-
-    Raises
-    ------
-    OutputError
-        If nobody can listen there.
+    `number`, int: the port.
+    `client`, Client or None: the present client.
+    Raises OutputError if nobody can listen there.
     """
 
     def __init__(self, host: str, number: int, say: Say) -> None:
@@ -209,10 +187,7 @@ class Ports:
     def ready(self, timeout: float | None, others: Iterable[socket.socket | Client] = ()) -> set[object]:
         """Wait until there is something to read or the time is over, and return from whom: clients and `others`.
 
-        Raises
-        ------
-        Stopped
-            After `stop`.
+        Raises Stopped after `stop`.
         """
         clients = [port.client for port in self._ports if port.client is not None]
         waited: list[Any] = [*clients, *others, self._woken, *self._ports]
@@ -232,10 +207,7 @@ class Ports:
     def wait_for(self, client: Client) -> None:
         """Wait until a client has sent something, and read it: quicker than `ready` and `receive`.
 
-        Raises
-        ------
-        Stopped, Gone
-            As by those.
+        Raises Stopped or Gone as by those.
         """
         while True:
             received = client.receive()

@@ -29,15 +29,8 @@ GOES_ON = "it is served, and goes on: its last {:g} s, without what is known onl
 class Watch:
     """The lab's page of a session, from now until `finish`.
 
-    Attributes
-    ----------
-    url : str
-        Its address, with the token that lets in.
-
-    Raises
-    ------
-    OutputError
-        If it cannot listen there.
+    `url`, str: its address, with the token that lets in.
+    Raises OutputError if it cannot listen there.
     """
 
     def __init__(self, session: Session, *, port: int = FIRST_PORT) -> None:

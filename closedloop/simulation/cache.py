@@ -33,21 +33,11 @@ MOST_CACHES = 2
 class Cache:
     """The entries used last, up to a limit of memory. Not for use by several threads, but for `get_shared`.
 
-    Parameters
-    ----------
-    limit : int
-        Bytes that may be kept; an entry larger than that is kept until the next.
-    shared : Cache, optional
-        A cache of several threads, for entries that are only read, such as paths.
-
-    Attributes
-    ----------
-    parts : (Parts, Parts) or None
-        What is made of the scenario as it was given, and as its run has it.
-    spare : dict
-        What steps its loop, by engine, where no run uses it: `closedloop.simulation.loop_calls.Calls`.
-    last : (Scenario, Problem) or None
-        What was prepared last, whose table is still its own.
+    `limit`: bytes that may be kept; an entry larger than that is kept until the next.
+    `shared`: a cache of several threads, for entries that are only read, such as paths.
+    `parts`, (Parts, Parts) or None: what is made of the scenario as it was given, and as its run has it.
+    `spare`, dict: what steps its loop, by engine, where no run uses it: `closedloop.simulation.loop_calls.Calls`.
+    `last`, (Scenario, Problem) or None: what was prepared last, whose table is still its own.
     """
 
     def __init__(self, limit: int = LIMIT, shared: "Cache | None" = None) -> None:

@@ -61,19 +61,10 @@ USED_ONCE, WITH_LOOPS = (potential_energies, walk, sample_spline), (rows_along, 
 class Answers:
     """The answers to all that the loop requests beside terms.
 
-    Parameters
-    ----------
-    interim : bool
-        Whether an impact may be computed interpreted while its law is not compiled yet.
-
-    Attributes
-    ----------
-    events : (M, EVENT_WIDTH) array
-        The table of events, which grows as needed.
-    addresses : Addresses
-        Where the loop finds it; set once they are known.
-    compiling : float
-        Time of the first impact, s, which may have compiled its law.
+    `interim`: whether an impact may be computed interpreted while its law is not compiled yet.
+    `events` (M, EVENT_WIDTH): the table of events, which grows as needed.
+    `addresses`: where the loop finds it; set once they are known.
+    `compiling`: time of the first impact, s, which may have compiled its law.
     """
 
     addresses: Addresses
@@ -151,34 +142,19 @@ class Driver:
 
     Nobody else may evaluate terms with the problem's robot meanwhile.
 
-    Parameters
-    ----------
-    problem : Problem
-        The problem.
-    rows : (>= steps + 1, width) array
-        Memory for the record, see `closedloop.loop.step.record_row.Row`.
-    law, engine, interim, tree
-        See `closedloop.simulation.simulate.run_loop`.
-    table : array, optional
-        In place of the problem's table of what is desired.
-    into
-        See `closedloop.loop.step.memory.make_loop`.
-    kept : bool
-        Whether the next run of the problem, from the same start or another, may take it over.
-
-    Attributes
-    ----------
-    loop : Loop
-        The memory.
-    once, many, again : callables
-        Call the loop: with new terms, with new terms as long as nothing else is requested and a `MOMENT` at most, see
-        `Pace`, and with the last terms. They return the request. The compiled engine evaluates terms in any case.
-    terms : callable
-        Evaluates Pinocchio's terms.
-    answers : Answers
-        Answers to what else the loop requests.
-    user_law : UserLaw or None
-        The connection to `law`.
+    `problem`: the problem.
+    `rows` (>= steps + 1, width): memory for the record, see `closedloop.loop.step.record_row.Row`.
+    `law`, `engine`, `interim`, `tree`: see `closedloop.simulation.simulate.run_loop`.
+    `table`: in place of the problem's table of what is desired.
+    `into`: see `closedloop.loop.step.memory.make_loop`.
+    `kept`: whether the next run of the problem, from the same start or another, may take it over.
+    `loop`, Loop: the memory.
+    `once`, `many`, `again`, callables: call the loop: with new terms, with new terms as long as nothing else is
+        requested and a `MOMENT` at most, see `Pace`, and with the last terms. They return the request. The compiled
+        engine evaluates terms in any case.
+    `terms`, callable: evaluates Pinocchio's terms.
+    `answers`, Answers: answers to what else the loop requests.
+    `user_law`, UserLaw or None: the connection to `law`.
     """
 
     def __init__(

@@ -279,11 +279,9 @@ def _simulated(
 def check_engine(scenario: Scenario, engine: str, law: Law | None) -> None:
     """Refuse what an engine does not cover, before anything is prepared; joint types are checked by `tree_of`.
 
-    Raises
-    ------
-    ScenarioError
-        If it is no scenario, if there is no such engine, if a law takes other arguments than it is given, or if with
-        the compiled engine the integrator is adaptive or the law is not, or cannot be, compiled by numba.
+    Raises ScenarioError if it is no scenario, if there is no such engine, if a law takes other arguments than it is
+        given, or if with the compiled engine the integrator is adaptive or the law is not, or cannot be, compiled by
+        numba.
     """
     if not isinstance(scenario, Scenario):
         raise ScenarioError(f"scenario = {shown(scenario)}: must be a Scenario, as load_scenario('wam_slide') returns")
@@ -468,10 +466,7 @@ def beside_half(
     Without an `engine` it is the compiled one where it can run this and is compiled already, else the run's own: they
     differ by rounding.
 
-    Raises
-    ------
-    InterruptedRunError
-        After Ctrl-C; its `run` is the one given.
+    Raises InterruptedRunError after Ctrl-C; its `run` is the one given.
     """
     try:
         other = simulate(

@@ -46,12 +46,9 @@ _GENERAL, _LAW, _COMPENSATION = (
 class Stepper:
     """The loop of a problem, and what drives it: the scenario's law, a user's law, or a torque that is held.
 
-    Attributes
-    ----------
-    rows : (steps + 1, width) array
-        The record, see `closedloop.loop.step.record_row.Row`.
-    mark : Mark
-        From just before the call that recorded the latest row; of the first row, from before anything was called.
+    `rows`, (steps + 1, width) array: the record, see `closedloop.loop.step.record_row.Row`.
+    `mark`, Mark: from just before the call that recorded the latest row; of the first row, from before anything was
+        called.
     """
 
     def __init__(self, problem: Problem, engine: str) -> None:
@@ -183,10 +180,7 @@ class Stepper:
     def to_row(self) -> None:
         """Go on until a row has been recorded.
 
-        Raises
-        ------
-        SimulationError
-            If the loop cannot go on; an exception of a user's law is its cause.
+        Raises SimulationError if the loop cannot go on; an exception of a user's law is its cause.
         """
         numbers = self._numbers
         row, self._next_mark = numbers[_ROW], self.mark

@@ -21,17 +21,9 @@ NAMES = {
 def identity_of(scenario: Scenario, changes: Mapping[str, Sequence[Any]], engine: str) -> dict[str, Any]:
     """Return what the numbers of a scenario's runs depend on, as JSON has it, by the names `NAMES`.
 
-    Parameters
-    ----------
-    changes : mapping of str to sequence
-        Values of the keys that change from run to run.
-    engine : str
-        See `closedloop.simulate`.
-
-    Raises
-    ------
-    ModelError
-        If the robot is at fault, and no other is asked for.
+    `changes`: values of the keys that change from run to run.
+    `engine`: see `closedloop.simulate`.
+    Raises ModelError if the robot is at fault, and no other is asked for.
     """
     # The text of a user's class, or a robot's file, may change between a kill and what follows.
     digests = {name: source_digest(families()[key].get(name)) for key, name in members(scenario, changes)}

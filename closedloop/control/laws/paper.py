@@ -29,22 +29,13 @@ def paper_law(
 ) -> None:  # fmt: skip
     """Write Q of Eq. 33.
 
-    Parameters
-    ----------
-    t, f_des : float
-        Time, s, and the wanted force, N.
-    par
-        kp, N m/rad, and kd, N m s/rad, (n,) each, and pd_start, s.
-    wanted : two (n,) arrays
-        q_des and q̇_des at t.
-    state : two (n,) arrays
-        q and q̇.
-    C : (n,) array
-        Bias.
-    A : (>= 1, n) array
-        Its first row is nᵀJᵣ.
-    torque : (n,) array
-        Written: Q, N m.
+    `t`, `f_des`: time, s, and the wanted force, N.
+    `par`: kp, N m/rad, and kd, N m s/rad, (n,) each, and pd_start, s.
+    `wanted`, two (n,) arrays: q_des and q̇_des at t.
+    `state`, two (n,) arrays: q and q̇.
+    `C` (n,): bias.
+    `A` (>= 1, n): its first row is nᵀJᵣ.
+    `torque` (n,): written: Q, N m.
     """
     (q_des, v_des), (q, v) = wanted, state
     pd = select(t >= par.pd_start, 1.0, 0.0)

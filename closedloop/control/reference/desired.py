@@ -55,11 +55,8 @@ def follow(robot: Robot, q: Array, path: TipPath, held: Orientation = FREE_ORIEN
 
     With an orientation that is `held` it begins at the posture next to q that has it, if that is within a degree.
 
-    Raises
-    ------
-    ScenarioError
-        If the path leaves the workspace or the joint limits, with the first instant at which it does; or if the arm
-        cannot hold the orientation, or is not near it at the start.
+    Raises ScenarioError if the path leaves the workspace or the joint limits, with the first instant at which it does;
+        or if the arm cannot hold the orientation, or is not near it at the start.
     """
     if held.rows != ik.POSITION:
         q = _aligned(robot, q, held)
@@ -333,11 +330,8 @@ def desired(
     unit vector in the tip's frame, which reference.orientation may hold against the normal, and `radius` that of the
     tool's round end, m.
 
-    Raises
-    ------
-    ScenarioError
-        If [reference] is at fault, the path leaves the surface, or is not one for the tool, or leaves the workspace or
-        the joint limits.
+    Raises ScenarioError if [reference] is at fault, the path leaves the surface, or is not one for the tool, or leaves
+        the workspace or the joint limits.
     """
     if robot.moved and reference.kind != "hold":
         raise ScenarioError(

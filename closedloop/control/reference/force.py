@@ -113,15 +113,8 @@ ForceProfile = Annotated[
 def force_at(section: ForceProfile, base: float, t: Array) -> Array:
     """Return f_des (N,), N, at times t (N,), s; at a jump the right limit.
 
-    Parameters
-    ----------
-    base : float
-        law.force, N.
-
-    Raises
-    ------
-    ScenarioError
-        If a profile of waypoints has not as many forces as instants.
+    `base`: law.force, N.
+    Raises ScenarioError if a profile of waypoints has not as many forces as instants.
     """
     t = np.asarray(t, dtype=np.float64)
     if isinstance(section, ConstantForceSection):

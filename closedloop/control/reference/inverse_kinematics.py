@@ -128,16 +128,10 @@ def least_norm(J: Array, wanted: Array, W: Array, c: Array, rate: Array) -> None
     orthogonal to each other, and c = U ṙ, q̇ is the sum of Wᵢ cᵢ/|Wᵢ|² over the rows that are not zero; their lengths
     are the singular values. Small ones are as accurate as large ones, which those of Jᵣ Jᵣᵀ would not be.
 
-    Parameters
-    ----------
-    J : (m, n) array
-        Jᵣ, and what else is to move, a row each.
-    wanted : (m,) array
-        ṙ, m/s, and the rates of the rest.
-    W, c : (m, n), (m,) arrays
-        Scratch.
-    rate : (n,) array
-        Written: q̇, rad/s (m/s); NaN if an entry of J or `wanted` is not finite.
+    `J` (m, n): Jᵣ, and what else is to move, a row each.
+    `wanted` (m,): ṙ, m/s, and the rates of the rest.
+    `W`, `c`, (m, n), (m,) arrays: scratch.
+    `rate` (n,): written: q̇, rad/s (m/s); NaN if an entry of J or `wanted` is not finite.
     """
     m, n = J.shape
     size, finite = 0.0, True
@@ -283,19 +277,12 @@ def scratch_size(n: int, m: int = POSITION) -> int:
 def walk(tree: Tree, work: Array, way: Way, outcome: Array, loops: int, loops_at: int) -> int:
     """Follow the tip's path from knot to knot, and return how many knots were reached.
 
-    Parameters
-    ----------
-    tree : Tree
-        The robot.
-    work : (scratch_size(n, way.rows),) array
-        Scratch, zeros at first.
-    way : Way
-        q and v are written, those of a knot that was not reached too, as far as they are there.
-    outcome : (OUTCOMES,) array
-        Written: `ENDED` and `MIDWAY`.
-    loops, loops_at : int
-        Addresses of the entry of the mechanism's loops, `closedloop.mechanics.loops.assemble`, and of their memory;
-        0: none.
+    `tree`: the robot.
+    `work`, (scratch_size(n, way.rows),) array: scratch, zeros at first.
+    `way`: q and v are written, those of a knot that was not reached too, as far as they are there.
+    `outcome` (OUTCOMES,): written: `ENDED` and `MIDWAY`.
+    `loops`, `loops_at`: addresses of the entry of the mechanism's loops, `closedloop.mechanics.loops.assemble`, and of
+        their memory; 0: none.
     """
     w = _scratch(work, tree.n, way.rows)
     outcome[ENDED], outcome[MIDWAY] = REACHED, 0.0

@@ -102,19 +102,10 @@ class Rolling:
     def roll(self, curve: Curve, duration: float, length: float) -> Rolled:
         """Roll along a curve in the plane from where the last one ended.
 
-        Parameters
-        ----------
-        curve : Curve
-            In the tangent plane at the surface's origin; what leads out of it is left out.
-        duration : float
-            Up to which its parameter goes.
-        length : float
-            Its length, m, about.
-
-        Raises
-        ------
-        ScenarioError
-            If it leaves the surface, or is too long, or bent too sharply to be resolved.
+        `curve`: in the tangent plane at the surface's origin; what leads out of it is left out.
+        `duration`: up to which its parameter goes.
+        `length`: its length, m, about.
+        Raises ScenarioError if it leaves the surface, or is too long, or bent too sharply to be resolved.
         """
         from scipy.interpolate import BPoly
 
@@ -288,18 +279,10 @@ class SegmentOnSurface(Segment):
 def on_surface(path: TipPath, surface: PlacedSurface, duration: float, geodesic: bool = False) -> TipPath:
     """Return the path laid onto a surface; one that moves carries the tip along until `duration`, s, and before.
 
-    Parameters
-    ----------
-    path : TipPath
-        In the tangent plane at the surface's origin.
-    geodesic : bool
-        Whether it is rolled onto the surface, with its lengths, or projected. On a surface that moves a geodesic is
-        drawn on the body; a projection follows it along the normal alone.
-
-    Raises
-    ------
-    ScenarioError
-        If the surface does not lie under the path.
+    `path`: in the tangent plane at the surface's origin.
+    `geodesic`: whether it is rolled onto the surface, with its lengths, or projected. On a surface that moves a
+        geodesic is drawn on the body; a projection follows it along the normal alone.
+    Raises ScenarioError if the surface does not lie under the path.
     """
     level = surface.touching(path.origin).level
     segments = list(path.segments)

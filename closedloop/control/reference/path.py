@@ -125,14 +125,9 @@ def orientation_of(
 ) -> Orientation:
     """Return what reference.orientation asks for.
 
-    Parameters
-    ----------
-    held : str or tuple of float
-        "free", "normal", "start", or the rotation vector of the tip's frame, rad, base frame.
-    axis : (3,) array
-        Axis of the tool, a unit vector in the tip's frame.
-    surface : PlacedSurface
-        Whose normal it is held against.
+    `held`: "free", "normal", "start", or the rotation vector of the tip's frame, rad, base frame.
+    `axis` (3,): axis of the tool, a unit vector in the tip's frame.
+    `surface`: whose normal it is held against.
     """
     if held == "free":
         return FREE_ORIENTATION
@@ -155,12 +150,8 @@ PATH_CHECKS, ROUNDING = 200, 1e-9
 def hollow_radii(surface: PlacedSurface, times: Array, r: Array) -> Array:
     """Return the smallest radius of curvature of the hollows at points of a surface, (N,), m; inf where there is none.
 
-    Parameters
-    ----------
-    times : (N,) array
-        s.
-    r : (N, 3) array
-        Points on it at these instants, m, base frame.
+    `times` (N,): s.
+    `r` (N, 3): points on it at these instants, m, base frame.
     """
     shape, found = shape_at(surface), np.full(times.size, math.inf)
     for k, t in enumerate(times):
@@ -217,10 +208,7 @@ class Between(Protocol):
 def direction_along(direction: Sequence[float], normal: Array) -> Array:
     """Return the unit vector (3,) of reference.direction, which must be along the surface with this unit normal (3,).
 
-    Raises
-    ------
-    ScenarioError
-        If it has no direction, or points out of the surface; names the nearest that does not.
+    Raises ScenarioError if it has no direction, or points out of the surface; names the nearest that does not.
     """
     along = unit(direction, "reference.direction")
     out = float(normal @ along)
@@ -291,11 +279,8 @@ PATHS = Family(Path, usual="hold")  # type: ignore[type-abstract]  # it makes no
 def tip_path(section: Path, origin: Array, normal: Array) -> TipPath:
     """Return the path from `origin` (3,), m, on a surface with this unit normal (3,), base frame.
 
-    Raises
-    ------
-    ScenarioError
-        If the section is at fault: a direction out of the surface, a stop before the start ... Or a user's path is: it
-        raises something, or returns no path from `origin`.
+    Raises ScenarioError if the section is at fault: a direction out of the surface, a stop before the start ... Or a
+        user's path is: it raises something, or returns no path from `origin`.
     """
     with of_users(section, "reference.kind"):
         path = section.tip_path(origin, normal)
@@ -328,10 +313,7 @@ def path_normal(section: Path, surface: Surface) -> Array:
 def path_on(section: Path, origin: Array, surface: PlacedSurface, duration: float) -> TipPath:
     """Return the path from `origin` (3,), m, base frame, laid onto a surface for a run of `duration`, s.
 
-    Raises
-    ------
-    ScenarioError
-        As `tip_path`, or if the surface does not lie under the path, or the path leaves it.
+    Raises ScenarioError as `tip_path`, or if the surface does not lie under the path, or the path leaves it.
     """
     path = tip_path(section, origin, path_normal(section, surface.section))
     if section.on_surface == "no" or (surface.fixed_plane and section.in_plane):

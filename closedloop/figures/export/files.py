@@ -234,12 +234,8 @@ VERSION = 5
 def write_rosbag2(run: Run, path: str | Path) -> list[Path]:
     """Write a run as a bag, the folder `path`, for ``ros2 bag play`` and ``ros2 bag info``; return what was written.
 
-    Raises
-    ------
-    ScenarioError
-        If the package mcap-ros2-support is missing.
-    OutputError
-        If the folder cannot be made or written into.
+    Raises ScenarioError if the package mcap-ros2-support is missing.
+    Raises OutputError if the folder cannot be made or written into.
     """
     folder = Path(path)
     name = f"{folder.name}_0.mcap"

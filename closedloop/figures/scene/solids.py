@@ -293,10 +293,7 @@ class Joined:
     def places(self, axes: Array, origins: Array) -> tuple[Array, Array]:
         """Return the axes (k, 3, 3), as columns, and the origins (k, 3), m, base frame, of the marks.
 
-        Parameters
-        ----------
-        axes, origins : (n + 1, 3, 3) and (n + 1, 3) arrays
-            The frames of the base and the joints.
+        `axes`, `origins`, (n + 1, 3, 3) and (n + 1, 3) arrays: the frames of the base and the joints.
         """
         turns, points = np.zeros((len(self.loops), 3, 3)), np.zeros((len(self.loops), 3))
         for k, loop in enumerate(self.loops):
@@ -309,12 +306,8 @@ class Joined:
 
         Where a rod ends on a platform it is the second: the force on the rod would be drawn inside of it.
 
-        Parameters
-        ----------
-        reactions : (c,) array
-            On the first side, see `closedloop.mechanics.loops.reactions.LoopReactions`.
-        axes, origins : (n + 1, 3, 3) and (n + 1, 3) arrays
-            The frames of the base and the joints.
+        `reactions` (c,): on the first side, see `closedloop.mechanics.loops.reactions.LoopReactions`.
+        `axes`, `origins`, (n + 1, 3, 3) and (n + 1, 3) arrays: the frames of the base and the joints.
         """
         found = np.zeros((len(self.loops), 3))
         for k, loop in enumerate(self.loops):
@@ -424,18 +417,11 @@ COLOUR, OPACITY = (0.90, 0.62, 0.0), 0.35
 class Ghost:
     """A body that moves by itself, and its motion.
 
-    Attributes
-    ----------
-    name : str
-        What it is called in a legend.
-    shapes : tuple of Shape
-        In the body's frame. Their `joint` and colour count for nothing.
-    time : (K,) array
-        s, increasing.
-    quaternions : (K, 4) array
-        Orientation of the body's frame, w x y z.
-    origins : (K, 3) array
-        Origin of the body's frame, m, base frame.
+    `name`: what it is called in a legend.
+    `shapes`: in the body's frame. Their `joint` and colour count for nothing.
+    `time` (K,): s, increasing.
+    `quaternions` (K, 4): orientation of the body's frame, w x y z.
+    `origins` (K, 3): origin of the body's frame, m, base frame.
     """
 
     name: str

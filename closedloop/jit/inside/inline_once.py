@@ -56,10 +56,7 @@ _answers: dict[tuple[Any, ...], tuple[Any, Any, Any]] = {}
 def call_type(context: Any, function: Any, args: tuple[Any, ...]) -> Any:
     """Return the signature of a call of one of numba's own functions, as `function.get_call_type` would.
 
-    Raises
-    ------
-    numba.TypingError
-        There is no such call.
+    Raises numba.TypingError: there is no such call.
     """
     if not all(map(_is_plain, args)):
         return function.get_call_type(context, args, {})

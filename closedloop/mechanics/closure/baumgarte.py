@@ -60,14 +60,9 @@ def amplification(
 ) -> Array:
     """Return the (2, 2) map of (e, hė) over one step of `integrator`, for ratio = h/T; (..., 2, 2) for many ratios.
 
-    Parameters
-    ----------
-    damping_ratio : float, or ndarray (...)
-        ζ, dimensionless; one for all, or one for each ratio.
-    ratio : float, or ndarray (...)
-        h/T, dimensionless.
-    rolls : bool
-        Of a row that is stabilised on the velocity alone.
+    `damping_ratio`, float, or ndarray (...): ζ, dimensionless; one for all, or one for each ratio.
+    `ratio`, float, or ndarray (...): h/T, dimensionless.
+    `rolls`: of a row that is stabilised on the velocity alone.
     """
     # (e, hė)' = M (e, hė)/h with the stabilised closure ë = −s_v ė − s_p e
     M = np.zeros((*np.shape(ratio), 2, 2))

@@ -35,18 +35,11 @@ def add_to_batch(
 ) -> None:
     """Store in a lane what the condition number of a row needs.
 
-    Parameters
-    ----------
-    H, L : (n, n) arrays
-        Mass matrix, upper triangle; its Cholesky factor with the reciprocals of its diagonal.
-    A, X : (n,) arrays
-        The closure's row, and L⁻¹Aᵀ.
-    mobility : float
-        s, 1/kg.
-    pressed : bool
-        Whether there is contact; without it K is H.
-    batch : (batch_rows(n), BATCH) array
-        Written at `lane`: H and below it L, the diagonal of L, A, X and 1/s.
+    `H`, `L`, (n, n) arrays: mass matrix, upper triangle; its Cholesky factor with the reciprocals of its diagonal.
+    `A`, `X`, (n,) arrays: the closure's row, and L⁻¹Aᵀ.
+    `mobility`: s, 1/kg.
+    `pressed`: whether there is contact; without it K is H.
+    `batch`, (batch_rows(n), BATCH) array: written at `lane`: H and below it L, the diagonal of L, A, X and 1/s.
     """
     n = H.shape[0]
     at = n * n
@@ -106,14 +99,9 @@ def condition_number(
 ) -> float:
     """Return the condition number of one state of a long arm.
 
-    Parameters
-    ----------
-    H, A, L, X, mobility, pressed
-        See `add_to_batch`.
-    work : (>= n * n + 4 * n,) array
-        Scratch.
-    ends : (n,) array
-        Where the blocks of H end, see `closedloop.mechanics.robot.tree.group_ends`.
+    `H`, `A`, `L`, `X`, `mobility`, `pressed`: see `add_to_batch`.
+    `work` (>= n * n + 4 * n,): scratch.
+    `ends` (n,): where the blocks of H end, see `closedloop.mechanics.robot.tree.group_ends`.
     """
     n, first = H.shape[0], 0
     R = matrix_of(work, n, n)  # L⁻¹, lower

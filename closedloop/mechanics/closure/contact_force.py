@@ -42,12 +42,8 @@ IMMOBILE = 1e-10
 def into_contact_frame(arm: Any, tip: Any) -> None:
     """Write A = N Jᵣ, p = N r, u = A q̇ and N J̇ᵣq̇ for the contact frame N (rows n, t1, t2).
 
-    Parameters
-    ----------
-    arm : Work, Perceived or the like
-        `J` (3, n), `r` (3,), m, and `drift` (3,), J̇ᵣq̇, m/s², in base axes; `v` (n,), q̇.
-    tip : TipContact, Perceived or the like
-        In: `frame`, N (3, 3). Written: `A` (3, n), `p`, `u` and `drift_c` (3,).
+    `arm`: `J` (3, n), `r` (3,), m, and `drift` (3,), J̇ᵣq̇, m/s², in base axes; `v` (n,), q̇.
+    `tip`: in: `frame`, N (3, 3). Written: `A` (3, n), `p`, `u` and `drift_c` (3,).
     """
     frame, J, r, drift, v = tip.frame, arm.J, arm.r, arm.drift, arm.v
     A, p, u, drift_c = tip.A, tip.p, tip.u, tip.drift_c
@@ -69,20 +65,14 @@ def factorise(H: Array, A: Array, L: Array, X: Array, S: Array, reach: float, en
 
     Returns OK or NOT_POSITIVE_DEFINITE.
 
-    Parameters
-    ----------
-    H : (n, n) array
-        Mass matrix; the upper triangle is read.
-    A : (3, n) array
-        Rows n, t1, t2.
-    L, X, S : (n, n), (3, n), (3, 3) arrays
-        Written; L's diagonal holds reciprocals, see `closedloop.mechanics.closure.solve.cholesky`. S_nn is zero where
-        no joint has a lever along n: |A_n|² is no more than SINGULAR_MOBILITY of the arm's reach squared. (A
-        share of the tip's own mobility would fail where the whole of Jᵣ is rounding, as of a tip on the only axis.)
-    reach : float
-        Of the arm, squared, m², see `Robot.reach`.
-    ends : (n,) array
-        Where the blocks of H end, see `closedloop.mechanics.robot.tree.group_ends`.
+    `H` (n, n): mass matrix; the upper triangle is read.
+    `A` (3, n): rows n, t1, t2.
+    `L`, `X`, `S`, (n, n), (3, n), (3, 3) arrays: written; L's diagonal holds reciprocals, see
+        `closedloop.mechanics.closure.solve.cholesky`. S_nn is zero where no joint has a lever along n: |A_n|² is no
+        more than SINGULAR_MOBILITY of the arm's reach squared. (A share of the tip's own mobility would fail where the
+        whole of Jᵣ is rounding, as of a tip on the only axis.)
+    `reach`: of the arm, squared, m², see `Robot.reach`.
+    `ends` (n,): where the blocks of H end, see `closedloop.mechanics.robot.tree.group_ends`.
     """
     n, first = H.shape[0], 0
     while first < n:
@@ -190,12 +180,8 @@ def stuck_force(S: Array, a: Array, b_stabiliser: Array, F: Array, stabiliser_fo
 
     Returns OK or SINGULAR.
 
-    Parameters
-    ----------
-    S, a, b_stabiliser : (3, 3), (3,), (3,) arrays
-        Mobility, 1/kg; free acceleration and the stabiliser's, m/s².
-    F, stabiliser_force : (3,) arrays
-        Written, N; zero along tangents in which the tip cannot move.
+    `S`, `a`, `b_stabiliser`, (3, 3), (3,), (3,) arrays: mobility, 1/kg; free acceleration and the stabiliser's, m/s².
+    `F`, `stabiliser_force`, (3,) arrays: written, N; zero along tangents in which the tip cannot move.
     """
     trace = S[0, 0] + S[1, 1] + S[2, 2]
     if not every(S[0, 0] > SINGULAR_MOBILITY * trace):
@@ -232,12 +218,9 @@ def stuck_force(S: Array, a: Array, b_stabiliser: Array, F: Array, stabiliser_fo
 def stuck_tangentially(S: Array, a: Array, b: Array, F: Array) -> None:
     """Write the tangential force F_t that holds the tip along the surface under a given normal force F_n.
 
-    Parameters
-    ----------
-    S, a, b : (3, 3), (3,), (3,) arrays
-        Mobility, 1/kg; free acceleration and that of the tip, m/s², of which the tangential parts count.
-    F : (3,) array
-        N; F_n read, F_t written: zero along tangents in which the tip cannot move.
+    `S`, `a`, `b`, (3, 3), (3,), (3,) arrays: mobility, 1/kg; free acceleration and that of the tip, m/s², of which the
+        tangential parts count.
+    `F` (3,): N; F_n read, F_t written: zero along tangents in which the tip cannot move.
     """
     trace = S[0, 0] + S[1, 1] + S[2, 2]
     b1, b2 = b[1] - a[1] - S[1, 0] * F[0], b[2] - a[2] - S[2, 0] * F[0]

@@ -30,19 +30,12 @@ def motion_residual(H: Array, torque: Array, C: Array, qdd: Array, tip: Any, end
 
     It is the largest |left − right| over the largest sum of the magnitudes of the terms.
 
-    Parameters
-    ----------
-    H : (n, n) array
-        Mass matrix; the upper triangle is read.
-    torque, C : (n,) arrays
-        N m (N).
-    qdd : (n,) array
-        Acceleration, rad/s² (m/s²).
-    tip : closedloop.loop.step.memory.TipContact or the like
-        A (3, n), S (3, 3), `drift_c`, b, a and F (3,), as `factorise`, `free_acceleration` and `pressed_force` left
+    `H` (n, n): mass matrix; the upper triangle is read.
+    `torque`, `C`, (n,) arrays: N m (N).
+    `qdd` (n,): acceleration, rad/s² (m/s²).
+    `tip`: a (3, n), S (3, 3), `drift_c`, b, a and F (3,), as `factorise`, `free_acceleration` and `pressed_force` left
         them.
-    ends : (n,) array
-        Where the blocks of H end, see `closedloop.mechanics.robot.tree.group_ends`.
+    `ends` (n,): where the blocks of H end, see `closedloop.mechanics.robot.tree.group_ends`.
     """
     A, F, n = tip.A, tip.F, torque.shape[0]
     worst, scale, first = 0.0, 0.0, 0

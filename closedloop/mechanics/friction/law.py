@@ -291,12 +291,8 @@ def surface_parameters(section: FrictionLaw) -> Any:
 def joint_parameters(section: FrictionLaw, n: int | None = None) -> list[Any]:
     """Return what the functions of a law of the joints' friction read, for each joint.
 
-    Parameters
-    ----------
-    section : FrictionLaw
-        A section of friction.
-    n : int, optional
-        The number of joints; left out, it is that of the longest list in the section.
+    `section`: a section of friction.
+    `n`: the number of joints; left out, it is that of the longest list in the section.
     """
     kind = type(section)
     if n is None:

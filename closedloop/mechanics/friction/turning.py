@@ -24,20 +24,12 @@ from closedloop.mechanics.friction.law import STILL
 def turn_friction(S: Array, a1: float, a2: float, u: Array, direction: Array, f: float, h: float, c: Array) -> bool:
     """Turn the friction −c f of a slow contact to where its slip points at the end of the step; return if it was slow.
 
-    Parameters
-    ----------
-    S : (3, 3) array
-        Mobility of the contact along n, t1, t2, 1/kg.
-    a1, a2 : float
-        Its acceleration along t1 and t2 with all forces but this friction, m/s².
-    u : (3,) array
-        Its velocity, m/s.
-    direction : (2,) array
-        Of its slip as the substep began.
-    f, h : float
-        Normal force, N, and step, s.
-    c : (2,) array
-        ±μ u/|u| (minus where f pulls); written.
+    `S` (3, 3): mobility of the contact along n, t1, t2, 1/kg.
+    `a1`, `a2`: its acceleration along t1 and t2 with all forces but this friction, m/s².
+    `u` (3,): its velocity, m/s.
+    `direction` (2,): of its slip as the substep began.
+    `f`, `h`: normal force, N, and step, s.
+    `c` (2,): ±μ u/|u| (minus where f pulls); written.
     """
     level, speed = math.hypot(c[0], c[1]), math.hypot(u[1], u[2])
     reach = h * level * abs(f)

@@ -266,10 +266,7 @@ def _move_on(degree: int, length: float, end: int, c: ImpactWork) -> None:
 class Restitution(Member):
     """A law of restitution. Those that ship are in `closedloop.mechanics.impact.laws`, one file each.
 
-    Attributes
-    ----------
-    ratio_of : str
-        Of what the coefficient is the ratio, after to before: "velocities" along the normal; "impulses" of
+    `ratio_of`: of what the coefficient is the ratio, after to before: "velocities" along the normal; "impulses" of
         decompression to compression; "energies", the work of the normal impulse, whose ratio is its square.
     """
 
@@ -288,10 +285,7 @@ RESTITUTIONS = Family(Restitution)
 def coefficient_at(law: type[Restitution], restitution: float, speed: float, key: str = "impact.law") -> float:
     """Return ε of an impact at a speed along the normal, m/s; `key` is what names the law, for messages.
 
-    Raises
-    ------
-    ScenarioError
-        If a user's law gives none from 0 to 1.
+    Raises ScenarioError if a user's law gives none from 0 to 1.
     """
     with of_users(law, key):
         given = float(law.coefficient(restitution, speed))
@@ -306,16 +300,10 @@ def coefficient_at(law: type[Restitution], restitution: float, speed: float, key
 class Impact:
     """What an impact does to the tip; everything in the contact frame (n, t1, t2), arrays read-only.
 
-    Attributes
-    ----------
-    compression, decompression : (3,) arrays
-        Impulse of the surface on the robot in the two phases, N s.
-    after : (3,) array
-        Tip velocity after the impact, m/s.
-    energy_lost : float
-        Kinetic energy that the impact took, J.
-    modes : tuple of str
-        What happened, in this order: "slip" (the tip slid at some time), "turn" (the direction of slip turned),
+    `compression`, `decompression`, (3,) arrays: impulse of the surface on the robot in the two phases, N s.
+    `after` (3,): tip velocity after the impact, m/s.
+    `energy_lost`: kinetic energy that the impact took, J.
+    `modes`: what happened, in this order: "slip" (the tip slid at some time), "turn" (the direction of slip turned),
         "reversal" (slip stopped and went on in another direction), "stick" (it stopped and stayed), "jam" (friction
         drove the tip into the surface for a while), "recompression" (the tip came back before decompression was over),
         "cut" (Newton's law would have created energy), "wedge" (held by friction, the tip could not leave).
@@ -338,23 +326,12 @@ def two_phase_impact(
 ) -> Impact:
     """Return the impact of a tip with mobility S that meets the surface with velocity u.
 
-    Parameters
-    ----------
-    S : (3, 3) array
-        A H⁻¹Aᵀ in the contact frame (n, t1, t2), 1/kg, symmetric positive semidefinite, S[0, 0] > 0.
-    u : (3,) array
-        Tip velocity before, m/s; u[0] <= 0.
-    restitution : float
-        ε in [0, 1].
-    law : str
-        "newton", "poisson" or "stronge": of what ε is the ratio (see `closedloop.mechanics.impact`).
-    friction : float
-        Coulomb coefficient μ >= 0.
-
-    Raises
-    ------
-    ScenarioError
-        If one of these does not hold, or no impulse can end the approach.
+    `S` (3, 3): a H⁻¹Aᵀ in the contact frame (n, t1, t2), 1/kg, symmetric positive semidefinite, S[0, 0] > 0.
+    `u` (3,): tip velocity before, m/s; u[0] <= 0.
+    `restitution`: ε in [0, 1].
+    `law`: "newton", "poisson" or "stronge": of what ε is the ratio (see `closedloop.mechanics.impact`).
+    `friction`: coulomb coefficient μ >= 0.
+    Raises ScenarioError if one of these does not hold, or no impulse can end the approach.
     """
     mobility, before = _numbers("S", S, (3, 3)), _numbers("u", u, (3,))
     eps, mu = _number("restitution", restitution), _number("friction", friction)

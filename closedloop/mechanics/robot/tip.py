@@ -17,21 +17,15 @@ def tip_kinematics(
 ) -> None:  # fmt: skip
     """Write the tip's Jacobian, position and drift.
 
-    Parameters
-    ----------
-    joint_jacobian : (6, n) array
-        Spatial Jacobian, linear part first, of the point of each link's body that is at the base origin; base axes.
-    link : arrays (3, 3), (3,), (6,) and (6,)
-        Axes and origin of the link's joint frame in the base frame; spatial velocity and acceleration of the link,
-        linear part first, in its joint frame: the acceleration is for q̈ = 0 and includes −gravity.
-    offset : (3,) array
-        Tip in the link's joint frame, m.
-    gravity : (3,) array
-        m/s², base frame.
-    support : (n,) array
-        1 for joints between the base and the tip, else 0.
-    J, r, drift : (3, n), (3,), (3,) arrays
-        Written: Jᵣ (Eq. 13), r, m, and J̇ᵣq̇ (Eq. 18), m/s², base axes.
+    `joint_jacobian` (6, n): spatial Jacobian, linear part first, of the point of each link's body that is at the base
+        origin; base axes.
+    `link`, arrays (3, 3), (3,), (6,) and (6,): axes and origin of the link's joint frame in the base frame; spatial
+        velocity and acceleration of the link, linear part first, in its joint frame: the acceleration is for q̈ = 0 and
+        includes −gravity.
+    `offset` (3,): tip in the link's joint frame, m.
+    `gravity` (3,): m/s², base frame.
+    `support` (n,): 1 for joints between the base and the tip, else 0.
+    `J`, `r`, `drift`, (3, n), (3,), (3,) arrays: written: Jᵣ (Eq. 13), r, m, and J̇ᵣq̇ (Eq. 18), m/s², base axes.
     """
     rotation, origin, velocity, acceleration = link
     # ṗ = v + ω × o at the tip, in the joint frame

@@ -75,12 +75,9 @@ def shape_at(surface: PlacedSurface) -> Callable[[Array, Array], tuple[Array, Ar
 def carry(surface: PlacedSurface, times: Array, motion: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
     """Return the motion of a point that moves on the surface, which carries it along.
 
-    Parameters
-    ----------
-    times : (N,) array
-        s.
-    motion : tuple of (N, 3) arrays
-        Position, m, velocity, m/s, and acceleration, m/s², on the surface as it lies at t = 0, base frame.
+    `times` (N,): s.
+    `motion`, tuple of (N, 3) arrays: position, m, velocity, m/s, and acceleration, m/s², on the surface as it lies at t
+        = 0, base frame.
     """
     memory = surface.memory()
     move, ask = interpreted(motion_entry(type(surface.motion))), memory.ask

@@ -218,20 +218,12 @@ def make_memory(
 ) -> SurfaceMemory:  # fmt: skip
     """Return the memory of a surface at rest.
 
-    Parameters
-    ----------
-    par, motion_par : arrays
-        The parameters of the surface and of its motion, see `closedloop.jit.parameters.pack`.
-    entries : tuple of two int
-        Entries in each list of the surface's parameters, and of its motion's.
-    origin, axes : (3,), (3, 3) arrays
-        Of the surface at t = 0: m, and rows x, y, z; base frame.
-    bounds : tuple of two floats
-        Of its edge, see `closedloop.mechanics.surface.surface.Surface.bounds`.
-    radius : float
-        Of a ball that touches it, m; 0: a point does.
-    solid : tuple of five floats
-        Of a block that a point touches, see `closedloop.mechanics.surface.surface.Surface.solid`.
+    `par`, `motion_par`: the parameters of the surface and of its motion, see `closedloop.jit.parameters.pack`.
+    `entries`: entries in each list of the surface's parameters, and of its motion's.
+    `origin`, `axes`, (3,), (3, 3) arrays: of the surface at t = 0: m, and rows x, y, z; base frame.
+    `bounds`: of its edge, see `closedloop.mechanics.surface.surface.Surface.bounds`.
+    `radius`: of a ball that touches it, m; 0: a point does.
+    `solid`: of a block that a point touches, see `closedloop.mechanics.surface.surface.Surface.solid`.
     """
     sizes = par.size, motion_par.size
     links, ask = Links(np.zeros(LINKS, dtype=np.int64)), Ask(np.zeros(Ask.count(*sizes)), *sizes)
@@ -257,15 +249,10 @@ BEFORE_EDGE = 1e-9
 def edge_distance(at: Array, bounds: Array, solid: Array) -> float:
     """Return how far inside its edge a point of the surface is, m, negative outside.
 
-    Parameters
-    ----------
-    at : (3,) array
-        The point, m, surface's axes.
-    bounds : (2,) array
-        Half-lengths along x and y, m; of a round edge its radius and 0.
-    solid : (5,) array
-        Of a block its first axis, two numbers, and half its edges, m, the last below the origin: where two faces are
-        nearest, one of them ends. Zeros of another surface.
+    `at` (3,): the point, m, surface's axes.
+    `bounds` (2,): half-lengths along x and y, m; of a round edge its radius and 0.
+    `solid` (5,): of a block its first axis, two numbers, and half its edges, m, the last below the origin: where two
+        faces are nearest, one of them ends. Zeros of another surface.
     """
     if solid[4] > 0.0:
         d0 = abs(solid[0] * at[0] + solid[1] * at[1]) - solid[2]
@@ -353,18 +340,11 @@ def put_on_surface(
 
     Returns how many points were put there: N, or fewer if the surface does not lie in that direction.
 
-    Parameters
-    ----------
-    entry, address : int
-        Of the surface, and of its memory.
-    along : (3,) array
-        The direction, base frame.
-    level : float
-        The φ that it is put on.
-    times : (N,) array
-        s.
-    r, velocity, acceleration : (N, 3) arrays
-        Read and overwritten: m, m/s and m/s², base frame.
+    `entry`, `address`: of the surface, and of its memory.
+    `along` (3,): the direction, base frame.
+    `level`: the φ that it is put on.
+    `times` (N,): s.
+    `r`, `velocity`, `acceleration`, (N, 3) arrays: read and overwritten: m, m/s and m/s², base frame.
     """
     _, ask = ask_at(address)
     pose, touch = Pose(ask.pose), Touch(ask.touch)
@@ -418,14 +398,9 @@ def normals_on_surface(entry: int, address: int, times: Array, r: Array, velocit
 
     Returns how many points were asked for: N, or fewer if there is no normal at the next.
 
-    Parameters
-    ----------
-    entry, address : int
-        Of the surface, and of its memory.
-    times : (N,) array
-        s.
-    r, velocity : (N, 3) arrays
-        Position, m, and velocity, m/s; overwritten by n and ṅ, 1/s. All in the base frame.
+    `entry`, `address`: of the surface, and of its memory.
+    `times` (N,): s.
+    `r`, `velocity`, (N, 3) arrays: position, m, and velocity, m/s; overwritten by n and ṅ, 1/s. All in the base frame.
     """
     _, ask = ask_at(address)
     pose, touch = Pose(ask.pose), Touch(ask.touch)

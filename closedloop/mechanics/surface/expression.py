@@ -260,10 +260,7 @@ def known() -> str:
 def _number(value: Callable[[], float]) -> float:
     """Return a number of a formula.
 
-    Raises
-    ------
-    ValueError
-        If it is not real and finite.
+    Raises ValueError if it is not real and finite.
     """
     try:
         number = value()
@@ -278,10 +275,7 @@ def instructions(text: str) -> tuple[float, ...]:
     """Return a formula as the list that `closedloop.mechanics.surface.expression.evaluate` reads, with room for its
     results.
 
-    Raises
-    ------
-    ValueError
-        If it is no formula, or does not depend on x, y and z; says what is wrong, after the text.
+    Raises ValueError if it is no formula, or does not depend on x, y and z; says what is wrong, after the text.
     """
     if len(text) > LONGEST:
         raise ValueError(f"is too long: it has more than {LONGEST} characters")

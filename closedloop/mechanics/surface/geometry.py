@@ -119,10 +119,7 @@ def turned_back(axes: Array, frame: Array) -> tuple[float, float]:
     Without that they would be x and y of the surface as it was, turned by the least rotation that takes its z to n. A
     vector with parts a and b along the tangents of `frame` has the parts c a + s b and c b − s a along these.
 
-    Parameters
-    ----------
-    axes, frame : (3, 3) arrays
-        Rows x, y, z of the surface as it was at t = 0, and n, t1, t2 as it is.
+    `axes`, `frame`, (3, 3) arrays: rows x, y, z of the surface as it was at t = 0, and n, t1, t2 as it is.
     """
     x, z, n = axes[0], axes[2], frame[0]
     across, over = n[0] * x[0] + n[1] * x[1] + n[2] * x[2], 1.0 + n[0] * z[0] + n[1] * z[1] + n[2] * z[2]
@@ -166,17 +163,10 @@ def contact_geometry(pose: Pose, moving: bool, r: Array, velocity: Array, frame:
 
     Returns False if the gradient is zero or not a number: there is no normal.
 
-    Parameters
-    ----------
-    pose : Pose
-    moving : bool
-        Whether the surface moves; else no velocity of the pose is read.
-    r, velocity : (3,) arrays
-        Position, m, and velocity ṙ, m/s, of the point, base axes.
-    frame : (3, 3) array
-        Written: N, rows n, t1, t2 in base axes.
-    touch : Touch
-        Written: local, size, carried and turning.
+    `moving`: whether the surface moves; else no velocity of the pose is read.
+    `r`, `velocity`, (3,) arrays: position, m, and velocity ṙ, m/s, of the point, base axes.
+    `frame` (3, 3): written: N, rows n, t1, t2 in base axes.
+    `touch`: written: local, size, carried and turning.
     """
     w0, w1, w2 = velocity[0], velocity[1], velocity[2]
     c0 = c1 = c2 = a0 = a1 = a2 = 0.0

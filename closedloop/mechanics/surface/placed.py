@@ -43,10 +43,7 @@ from robot_models.cached import cached_property
 def unit(vector: ArrayLike, key: str) -> Array:
     """Return the (3,) unit vector along `vector`, read-only; `key` names it in messages.
 
-    Raises
-    ------
-    ScenarioError
-        If it is not three finite numbers, or has no direction.
+    Raises ScenarioError if it is not three finite numbers, or has no direction.
     """
     return _unit_of(vector, key) if isinstance(vector, tuple) else _unit(vector, key)
 
@@ -172,10 +169,7 @@ class PlacedSurface:
         One that is soft, and placed below the tip, is placed so that the tip is `depth` in it, m. The tip is the centre
         of a ball of this radius, m. `where` is the key of the section in messages.
 
-        Raises
-        ------
-        ScenarioError
-            If its parameters do not go together.
+        Raises ScenarioError if its parameters do not go together.
         """
         normal = unit(section.normal, f"{where}.normal")
         given = section.place(normal)
@@ -267,10 +261,7 @@ class PlacedSurface:
     def touching(self, r: Array, velocity: Array | None = None, t: float = 0.0) -> Touching:
         """Return how a point at r (3,), m, that moves with `velocity` (3,), m/s, base frame, is to the surface at t, s.
 
-        Raises
-        ------
-        ScenarioError
-            If the surface has no normal there.
+        Raises ScenarioError if the surface has no normal there.
         """
         if self.fixed_plane:
             gap = float(self.normal @ r) - self.offset
@@ -327,19 +318,10 @@ class PlacedSurface:
     def follow(self, level: float, times: Array, motion: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
         """Return a motion of a point moved along `normal` onto the level φ = `level`, of the surface as it moves.
 
-        Parameters
-        ----------
-        level : float
-            φ of the motion that is returned.
-        times : (N,) array
-            s.
-        motion : tuple of (N, 3) arrays
-            Position, m, velocity, m/s, and acceleration, m/s², base frame.
-
-        Raises
-        ------
-        ScenarioError
-            If the surface does not lie in that direction from one of the points.
+        `level`: φ of the motion that is returned.
+        `times` (N,): s.
+        `motion`, tuple of (N, 3) arrays: position, m, velocity, m/s, and acceleration, m/s², base frame.
+        Raises ScenarioError if the surface does not lie in that direction from one of the points.
         """
         found, done = self.at_each(put_on_surface, (np.array(self.normal), level), times, motion)
         if done < times.size:
@@ -360,17 +342,9 @@ class PlacedSurface:
     def normals(self, times: Array, r: Array, velocity: Array) -> tuple[Array, Array]:
         """Return the unit normals n at points of a motion, and their rates ṅ, 1/s, base frame; each (N, 3).
 
-        Parameters
-        ----------
-        times : (N,) array
-            s.
-        r, velocity : (N, 3) arrays
-            Position, m, and velocity, m/s, base frame.
-
-        Raises
-        ------
-        ScenarioError
-            If there is no normal at one of the points.
+        `times` (N,): s.
+        `r`, `velocity`, (N, 3) arrays: position, m, and velocity, m/s, base frame.
+        Raises ScenarioError if there is no normal at one of the points.
         """
         if self.fixed_plane:
             return np.tile(self.normal, (times.size, 1)), np.zeros((times.size, 3))

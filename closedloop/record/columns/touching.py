@@ -50,16 +50,10 @@ class Touching(NamedTuple):
 
         If it is `flat`, all of these may have the same further axes before theirs.
 
-        Parameters
-        ----------
-        normal : float
-            Along the normal, N.
-        friction : (2,) array
-            Along the tangents, N.
-        axes, origins : (n + 1, 3, 3) and (n + 1, 3) arrays
-            The frames of the base and the joints.
-        t : float
-            The instant, s, of a surface that moves.
+        `normal`: along the normal, N.
+        `friction` (2,): along the tangents, N.
+        `axes`, `origins`, (n + 1, 3, 3) and (n + 1, 3) arrays: the frames of the base and the joints.
+        `t`: the instant, s, of a surface that moves.
         """
         place = origins[..., self.point_frame, :] + axes[..., self.point_frame, :, :] @ self.point
         turn, frame = axes[..., self.plane_frame, :, :], self.axes
@@ -140,16 +134,12 @@ def contact_torques(
 ) -> Array:
     """Return the torques of the k contacts of a scenario's links on the joints in N rows, (N, n), N m (N).
 
-    Parameters
-    ----------
-    times : (N,) array
-        s.
-    q : (N, nq) array
-        rad (m), as Pinocchio has them.
-    forces, frictions : (N, k) and (N, 2 k) arrays
-        Along the normals and the tangents, N, on the links that have the points.
-    rolling, pivoting : (N, 2 k) and (N, k) arrays, optional
-        Moments about the tangents and the normals, N m, on the same links.
+    `times` (N,): s.
+    `q` (N, nq): rad (m), as Pinocchio has them.
+    `forces`, `frictions`, (N, k) and (N, 2 k) arrays: along the normals and the tangents, N, on the links that have the
+        points.
+    `rolling`, `pivoting`, (N, 2 k) and (N, k) arrays: moments about the tangents and the normals, N m, on the same
+        links.
     """
 
     contacts, n = contacts_of(scenario, mechanism), mechanism.nv

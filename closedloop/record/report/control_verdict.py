@@ -175,10 +175,7 @@ def judge_control(
 ) -> tuple[list[Problem], list[str]]:
     """Return what is wrong with the control, as `closedloop.record.report.verdict.judge` does, and what is not known.
 
-    Parameters
-    ----------
-    limited : mapping of str to (float, float)
-        By joint the share of the rows in which a limit of the drives cut its torque, and when first, s.
+    `limited`: by joint the share of the rows in which a limit of the drives cut its torque, and when first, s.
     """
     problems = [problem_of("stopped", f"what was commanded was not done: {stopped}")] if stopped else []
     unknown: list[str] = []
@@ -267,20 +264,12 @@ def judge_force(
 ) -> list[Problem]:
     """Return what is wrong with the force while contact is commanded, above all in the later half of that time.
 
-    Parameters
-    ----------
-    miss : (R,) array
-        f − f_des, N, while contact is commanded.
-    scale : float
-        F, N.
-    h : float
-        Time between two rows, s.
-    rows : (R,) array of int
-        Which rows of the run these are.
-    unknown : list of str
-        What is not known is added.
-    sparse : bool
-        See `Signals`.
+    `miss` (R,): f − f_des, N, while contact is commanded.
+    `scale`: F, N.
+    `h`: time between two rows, s.
+    `rows` (R,): which rows of the run these are.
+    `unknown`: what is not known is added.
+    `sparse`: see `Signals`.
     """
     late = miss[rows.size // 2 :]
     off = max(float(late.max()), -float(late.min()))
@@ -409,18 +398,12 @@ def signals_of(
     then. Without a surface, and where links have contacts and the tip never had one, nothing is commanded of the tip:
     its force moves the arm.
 
-    Parameters
-    ----------
-    h : float
-        Time between two rows, s.
-    force, wanted, touching : (N,) arrays
-        f, f_des, N, and whether in contact.
-    path : (N, 3), (N,) and (N, 3) arrays
-        The tip less its path, along the surface; how far off the surface the path is; the path; m.
-    touchdowns : (E,) array
-        When contact began or the tip bounced, s.
-    own_law : bool
-        Whether the law is a function, and not the scenario's.
+    `h`: time between two rows, s.
+    `force`, `wanted`, `touching`, (N,) arrays: f, f_des, N, and whether in contact.
+    `path`, (N, 3), (N,) and (N, 3) arrays: the tip less its path, along the surface; how far off the surface the path
+        is; the path; m.
+    `touchdowns` (E,): when contact began or the tip bounced, s.
+    `own_law`: whether the law is a function, and not the scenario's.
     """
     off, gap, tip = path
     led = follows_path(scenario, own_law)

@@ -11,6 +11,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from closedloop.base.arrays import Array, plain
 from closedloop.mechanics.closure.contact_force import FREE
@@ -39,16 +40,7 @@ def halved_comparison(run: Record, other: Record) -> dict[str, Any]:
     without rows; ``columns``, ``values`` and ``events``, see below. It is strict JSON: what is no number is None.
     """
     count = min(len(run), (len(other) + 1) // 2)
-    # Rows beside a change of mode of either run are left out, and between two that are the same one.
-    mode = run.mode[:count]
-    kept = np.ones(mode.size, dtype=bool)
-    for own in (mode, other.mode[::2][:count]):
-        changes = np.flatnonzero(np.diff(own))
-        for offset in BESIDE:
-            kept[np.clip(changes + offset, 0, mode.size - 1)] = False
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], mode != other.mode[::2][:count], [False]])))
-    for begin, end in zip(edges[::2], edges[1::2], strict=True):
-        kept[begin:end] = end - begin > MOVES
+    kept = _away_from_changes(run.mode[:count], other.mode[::2][:count])
     both = (run.mode[:count] != FREE) | (other.mode[::2][:count] != FREE)
     force = np.abs(run.contact_force[:count] - other.contact_force[::2][:count]) * both
     position = np.linalg.norm(run.position[:count] - other.position[::2][:count], axis=1)
@@ -67,6 +59,19 @@ def halved_comparison(run: Record, other: Record) -> dict[str, Any]:
         "values": _values(run.summary(), other.summary()),
         "events": _events(run, other),
     }
+
+
+def _away_from_changes(mode: NDArray[Any], other: NDArray[Any]) -> NDArray[np.bool_]:
+    """Return which rows are not beside a change of mode of either run, nor between two that are the same one."""
+    kept = np.ones(mode.size, dtype=bool)
+    for own in (mode, other):
+        changes = np.flatnonzero(np.diff(own))
+        for offset in BESIDE:
+            kept[np.clip(changes + offset, 0, mode.size - 1)] = False
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], mode != other, [False]])))
+    for begin, end in zip(edges[::2], edges[1::2], strict=True):
+        kept[begin:end] = end - begin > MOVES
+    return kept
 
 
 def _column(run: Record, column: Array, other: Array, name: str) -> dict[str, Any]:

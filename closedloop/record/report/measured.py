@@ -86,25 +86,15 @@ def measure_rows(
 ) -> None:  # fmt: skip
     """Write the values of a run.
 
-    Parameters
-    ----------
-    tree : Tree
-        The robot, for its potential energy.
-    scratch : two arrays
-        From `closedloop.simulation.engines.compiled.compiled_work`, and (Tally.count(n),).
-    rows : (N, width) array
-        The record, N >= 1 of `closedloop.loop.step.record_row.Row`s, `h` seconds apart.
-    wanted : (P, >= 2 n + 10) array, int
-        The table of what is desired, see `closedloop.loop.step.entries`, and how many of its rows there are to
-        each of the record's.
-    limits : (4 n,) array
-        See `closedloop.record.report.measures.joint_limits`.
-    events : (E, EVENT_WIDTH) array
-        See `closedloop.loop.events.table`.
-    out : (Values.count(n),) array
-        Written.
-    signals : (CONTROL, N) array
-        Written, see `write_control`.
+    `tree`: the robot, for its potential energy.
+    `scratch`: from `closedloop.simulation.engines.compiled.compiled_work`, and (Tally.count(n),).
+    `rows` (N, width): the record, N >= 1 of `closedloop.loop.step.record_row.Row`s, `h` seconds apart.
+    `wanted`, (P, >= 2 n + 10) array, int: the table of what is desired, see `closedloop.loop.step.entries`, and how
+        many of its rows there are to each of the record's.
+    `limits` (4 n,): see `closedloop.record.report.measures.joint_limits`.
+    `events` (E, EVENT_WIDTH): see `closedloop.loop.events.table`.
+    `out`, (Values.count(n),) array: written.
+    `signals` (CONTROL, N): written, see `write_control`.
     """
     measure(tree, scratch, rows, wanted, h, limits, events, out, signals)
 
@@ -280,14 +270,9 @@ def write_values(last: Any, n: int, count: int, tally: Tally, values: Any) -> No
 def passed_singular_pose(last: Any, most: Greatest, first: float) -> float:
     """Return 1 if the tip came near singular poses on the way through only, and the contact force stayed as it was.
 
-    Parameters
-    ----------
-    last : Row
-        The last row.
-    most : Greatest
-        Over all rows.
-    first : float
-        When the tip was first near such a pose, s; NaN: never.
+    `last`: the last row.
+    `most`: over all rows.
+    `first`: when the tip was first near such a pose, s; NaN: never.
     """
     on_the_way = (first > 0.0) & (last.normal_mobility > NEAR_SINGULAR)
     passed: float = select(on_the_way & (most.singular_force <= MOST_GROWTH * most.approach_force), 1.0, 0.0)

@@ -271,16 +271,10 @@ def sample_row(
 ) -> None:
     """Write what a row of n joints has to say.
 
-    Parameters
-    ----------
-    row : Row
-        Columns by their names, see `closedloop.loop.step.record_row.Row`.
-    potential : float
-        Potential energy, J.
-    wanted : Reference
-        What is desired at its instant, of which position and force count.
-    limits, scale, sample
-        Read, read, and written.
+    `row`: columns by their names, see `closedloop.loop.step.record_row.Row`.
+    `potential`: potential energy, J.
+    `wanted`: what is desired at its instant, of which position and force count.
+    `limits`, `scale`, `sample`: read, read, and written.
     """
     greatest, sums, flags = Greatest(sample.greatest, n), Sums(sample.sums, n), Flags(sample.flags, n)
     powers, signals = Powers(sample.powers), Signals(sample.signals, n)

@@ -51,12 +51,8 @@ from robot_models.joint_dynamics import loop_dynamics
 def count_limited(limited: Array, h: float, values: Any) -> None:
     """Write `torque_limited_share` and `torque_limited_at` into a run's values.
 
-    Parameters
-    ----------
-    limited : (N, n) array
-        The column `torque_limited`, N >= 1.
-    values : Values
-        See `closedloop.record.report.measured.Values`; written.
+    `limited` (N, n): the column `torque_limited`, N >= 1.
+    `values`: see `closedloop.record.report.measured.Values`; written.
     """
     cut = limited != AS_ASKED
     values.torque_limited_share[:] = np.mean(cut, axis=0)
@@ -230,12 +226,8 @@ def outside_by_the_run(measures: Mapping[str, float | None], stopped: str | None
 def judge(facts: Facts, gains: Callable[[], str]) -> list[dict[str, Any]]:
     """Return what is wrong with a run: a list of ``name``, ``at``, the instant, s, or None, and ``text``.
 
-    Parameters
-    ----------
-    facts : Facts
-    gains : callable
-        Returns what is wrong with the gains for this step (`closedloop.scenario.modes.gains_fault`); called only if
-        something else is wrong.
+    `gains`: returns what is wrong with the gains for this step (`closedloop.scenario.modes.gains_fault`); called only
+        if something else is wrong.
     """
     problems = []
     if facts.stopped:

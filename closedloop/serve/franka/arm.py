@@ -30,12 +30,8 @@ _NO_LIMIT, _AT_ONCE = 1e3, 1e9
 def describe(robot: Robot, flange: str) -> str:
     """Return the URDF of an arm of seven joints; its masses are those of the links and of all that is fixed to them.
 
-    Parameters
-    ----------
-    robot : Robot
-        The arm.
-    flange : str
-        The frame that is link8.
+    `robot`: the arm.
+    `flange`: the frame that is link8.
     """
     model, limits = robot.model.pinocchio_model(), robot.model
     root = ET.Element("robot", name=f"closedloop_{limits.name}")
@@ -94,23 +90,12 @@ class Arm:
     Frames: O the base, F the flange, NE the nominal end effector, here the tip of the scenario, EE the end effector
     that the client sets from there, K the stiffness frame that it sets from EE. Poses are (4, 4).
 
-    Attributes
-    ----------
-    fingers : int
-        How many joints the simulated robot has after the arm's seven: those of a hand.
-    urdf : str
-        The description for the client.
-    F_T_NE, NE_T_EE, EE_T_K : (4, 4) arrays
-        The frames.
-    load : tuple
-        Mass, kg, centre of mass (3,), m, in F, and tensor about it, (9,), kg m², that the client has set.
-    robot : Robot
-        The arm with its load.
-
-    Raises
-    ------
-    ScenarioError
-        If the robot has not seven joints that turn, and sliding ones of a hand after them.
+    `fingers`, int: how many joints the simulated robot has after the arm's seven: those of a hand.
+    `urdf`, str: the description for the client.
+    `F_T_NE`, `NE_T_EE`, `EE_T_K`, (4, 4) arrays: the frames.
+    `load`, tuple: mass, kg, centre of mass (3,), m, in F, and tensor about it, (9,), kg m², that the client has set.
+    `robot`, Robot: the arm with its load.
+    Raises ScenarioError if the robot has not seven joints that turn, and sliding ones of a hand after them.
     """
 
     def __init__(self, scenario: Scenario, simulated: Robot) -> None:
@@ -145,10 +130,7 @@ class Arm:
     def set_load(self, mass: float, centre: Array, tensor: Array) -> None:
         """Take over a load at the flange: it is in the model of the controller, not in the simulation.
 
-        Raises
-        ------
-        ModelError
-            If no body has such a mass and tensor.
+        Raises ModelError if no body has such a mass and tensor.
         """
         if not mass >= 0.0:
             raise ModelError(f"a load of {mass} kg: must not be negative")

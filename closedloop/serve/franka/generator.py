@@ -40,14 +40,10 @@ SINGULAR = 1e-4
 class Generator:
     """Wanted positions of the joints, and what has been commanded.
 
-    Attributes
-    ----------
-    q, dq, ddq, jerk : (7,) arrays
-        Wanted positions, rad, and their rates.
-    pose : (4, 4) array
-        Commanded pose of the end effector; where joints are commanded that of the start, see `wanted_pose`.
-    twist, acceleration, twist_jerk : (6,) arrays
-        Its velocity, m/s and rad/s, and the rates of that, base axes.
+    `q`, `dq`, `ddq`, `jerk`, (7,) arrays: wanted positions, rad, and their rates.
+    `pose`, (4, 4) array: commanded pose of the end effector; where joints are commanded that of the start, see
+        `wanted_pose`.
+    `twist`, `acceleration`, `twist_jerk`, (6,) arrays: its velocity, m/s and rad/s, and the rates of that, base axes.
     """
 
     def __init__(self, arm: Arm, period: float) -> None:
@@ -190,15 +186,11 @@ def beyond(values: Array, limits: list[float]) -> bool:
 class Reflexes:
     """The filtered external torques and wrench, and what they have set off.
 
-    Attributes
-    ----------
-    torque, wrench, wrench_in_K : arrays (7,), (6,), (6,)
-        External torques, N m, and the wrench at K in base axes and in its own, N and N m.
-    contact, collision : arrays (13,)
-        1 where a torque (7,) or a component of the wrench in K (6,) is above its lower threshold, and where it has been
-        above its upper one since the last recovery.
-    watches : bool
-        Whether the client has set thresholds.
+    `torque`, `wrench`, `wrench_in_K`, arrays (7,), (6,), (6,): external torques, N m, and the wrench at K in base axes
+        and in its own, N and N m.
+    `contact`, `collision`, arrays (13,): 1 where a torque (7,) or a component of the wrench in K (6,) is above its
+        lower threshold, and where it has been above its upper one since the last recovery.
+    `watches`, bool: whether the client has set thresholds.
     """
 
     def __init__(self, arm: Arm, period: float) -> None:

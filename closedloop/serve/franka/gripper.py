@@ -37,19 +37,10 @@ LONGEST, EVERY = 20.0, 0.03
 class Gripper:
     """The server of the gripper.
 
-    Attributes
-    ----------
-    busy : bool
-        Whether a command is being carried out.
-
-    Parameters
-    ----------
-    session : Session
-        The simulation.
-    fingers : int
-        Free fingers: none, one that stands for both, or two.
-    udp : socket
-        From which states are sent.
+    `busy`, bool: whether a command is being carried out.
+    `session`: the simulation.
+    `fingers`: free fingers: none, one that stands for both, or two.
+    `udp`: from which states are sent.
     """
 
     def __init__(self, session: Session, fingers: int, udp: socket.socket) -> None:

@@ -379,10 +379,7 @@ def placed_on_link(
 def contact_rows(scenario: Scenario, robot: Robot) -> ContactRows:
     """Return where the contacts are on the links; refuse those that cannot be.
 
-    Raises
-    ------
-    ScenarioError
-        One line for the first thing that is wrong.
+    Raises ScenarioError: one line for the first thing that is wrong.
     """
     sections = scenario.contact or ()
     names = names_of(sections)
@@ -429,10 +426,7 @@ def stands_in_order(sections: tuple[ContactSection, ...], k: int, box: BoxSectio
 def placed_contacts(scenario: Scenario, robot: Robot, on: ContactRows, q: Array) -> ContactPlaces:
     """Return where the contacts are at q (n,); refuse those that start inside their planes.
 
-    Raises
-    ------
-    ScenarioError
-        One line for the first thing that is wrong.
+    Raises ScenarioError: one line for the first thing that is wrong.
     """
     sections = scenario.contact or ()
     names = names_of(sections)

@@ -72,29 +72,14 @@ def structure(base: Prepared) -> tuple[Any, ...]:
 class DualRun:
     """The memory of a run of dual numbers, and the run.
 
-    Parameters
-    ----------
-    base : Prepared
-        The run.
-    seeds : sequence of up to seven lists of arrays
-        Of each direction the derivatives of `base.floats`, None where there are none.
-    beside : sequence of (Problem, Problem, float)
-        Of each direction the problems on both sides, and how far off each is: a coefficient of restitution is found in
-        Python, so its derivatives are differences.
-
-    Raises
-    ------
-    NotDualError
-        If a kernel has no form of dual numbers, or there is not enough memory.
-
-    Attributes
-    ----------
-    rows : (N, width, 8) array
-        The record, values and derivatives; residuals and condition numbers are NaN.
-    events : (M, EVENT_WIDTH, 8) array
-        The table of events.
-    table : (P, columns, 8) array
-        What is desired, see `closedloop.loop.step.entries`.
+    `base`: the run.
+    `seeds`: of each direction the derivatives of `base.floats`, None where there are none.
+    `beside`: of each direction the problems on both sides, and how far off each is: a coefficient of restitution is
+        found in Python, so its derivatives are differences.
+    Raises NotDualError if a kernel has no form of dual numbers, or there is not enough memory.
+    `rows`, (N, width, 8) array: the record, values and derivatives; residuals and condition numbers are NaN.
+    `events`, (M, EVENT_WIDTH, 8) array: the table of events.
+    `table`, (P, columns, 8) array: what is desired, see `closedloop.loop.step.entries`.
     """
 
     def __init__(

@@ -179,18 +179,11 @@ def go_alone(
 ) -> bool:
     """Let the run of lane `i` go by itself from the row that it has reached to the next, `target`; False if it cannot.
 
-    Parameters
-    ----------
-    tree, scratch
-        Its robot, and scratch for its terms.
-    w, kept
-        Of the lanes, which have stepped from the row before, or have begun to.
-    members : (8,) array of int
-        Addresses of the `Alone` of each lane.
-    forces : (P,) array
-        Desired forces of each lane, N, at the instants of the table.
-    h : float
-        Step, s.
+    `tree`, `scratch`: its robot, and scratch for its terms.
+    `w`, `kept`: of the lanes, which have stepped from the row before, or have begun to.
+    `members` (8,): addresses of the `Alone` of each lane.
+    `forces` (P,): desired forces of each lane, N, at the instants of the table.
+    `h`: step, s.
     """
     alone, state, _, own = alone_at(members, i)
     if alone.stands == 0:

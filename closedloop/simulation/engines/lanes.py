@@ -131,24 +131,14 @@ def run_in_lanes(
     Returns OK, or NEEDS_EVENTS or a status of `closedloop.mechanics.closure.solve` if at least one lane could not
     go on.
 
-    Parameters
-    ----------
-    tree : Tree
-        Their robot.
-    addresses : array of int
-        Memory of `LaneAddresses`.
-    state_numbers : array of int
-        See `closedloop.loop.step.memory`; the same for all.
-    h : float
-        Step, s.
-    tableau : (S + 1, S) array
-        See `closedloop.mechanics.integrators.Scheme.tableau`.
-    tables : (8,) array of int
-        Addresses of the reference table of each run, see `closedloop.loop.step.entries`.
-    sizes : Sizes
-        Of the arrays in memory.
-    limits : (4 n,) array
-        See `closedloop.record.report.measures.joint_limits`.
+    `tree`: their robot.
+    `addresses`: memory of `LaneAddresses`.
+    `state_numbers`: see `closedloop.loop.step.memory`; the same for all.
+    `h`: step, s.
+    `tableau` (S + 1, S): see `closedloop.mechanics.integrators.Scheme.tableau`.
+    `tables` (8,): addresses of the reference table of each run, see `closedloop.loop.step.entries`.
+    `sizes`: of the arrays in memory.
+    `limits` (4 n,): see `closedloop.record.report.measures.joint_limits`.
     """
     n, state, width = tree.n, State(state_numbers), sizes.width
     ends = integers_at(state.addresses.group_ends, state.n)
@@ -372,21 +362,11 @@ def kind_of(problem: Problem) -> Kind | None:
 class LaneMember:
     """The memory of one run of a set of lanes, where it goes by itself: see `Alone`.
 
-    Parameters
-    ----------
-    terms : two arrays
-        H (n, n) and C (n,), which the runs have in common.
-    width : int
-        Numbers in a row.
-
-    Attributes
-    ----------
-    problem, loop
-        Of the latest run.
-    window : (WINDOW, width) array
-        Its first row, and its two latest.
-    address : int
-        Of the `Alone`.
+    `terms`: H (n, n) and C (n,), which the runs have in common.
+    `width`: numbers in a row.
+    `problem`, `loop`: of the latest run.
+    `window` (WINDOW, width): its first row, and its two latest.
+    `address`: of the `Alone`.
     """
 
     problem: Problem
@@ -427,21 +407,11 @@ class LaneMember:
 class LaneRuns:
     """Memory for eight runs of one kind; see `kind_of`.
 
-    Parameters
-    ----------
-    like : Problem
-        One of the runs, for the sizes.
-    keep : bool
-        Whether all rows are kept.
-
-    Attributes
-    ----------
-    kind : Kind
-        The kind of all eight.
-    n : int
-        Joints.
-    end : float
-        Instant of the last row, s.
+    `like`: one of the runs, for the sizes.
+    `keep`: whether all rows are kept.
+    `kind`, Kind: the kind of all eight.
+    `n`, int: joints.
+    `end`, float: instant of the last row, s.
     """
 
     def __init__(self, like: Problem, kind: Kind, keep: bool) -> None:

@@ -51,13 +51,10 @@ def addresses_of(
 ) -> Addresses:
     """Return the addresses of the arrays of a run, which it keeps.
 
-    Parameters
-    ----------
-    terms : tuple of arrays
-        H (n, n), column after column, and C (n,); for `FROM_PINOCCHIO` the 7 views of
+    `terms`: H (n, n), column after column, and C (n,); for `FROM_PINOCCHIO` the 7 views of
         `closedloop.mechanics.robot.pinocchio.Robot.views`.
-    loop, table, tableau, rows, events
-        See `proceed`. When `events` is replaced, so must be its address and its length; see `set_events`.
+    `loop`, `table`, `tableau`, `rows`, `events`: see `proceed`. When `events` is replaced, so must be its address and
+        its length; see `set_events`.
     """
     H, _, *more = terms
     for array in (*terms, table, tableau, rows, events):
@@ -100,12 +97,8 @@ def tip_from_pinocchio(a: Addresses) -> None:
 def proceed_at(address: int, source: int) -> int:
     """Do `proceed` with the arrays of a run, and return its request.
 
-    Parameters
-    ----------
-    address : int
-        Of the memory of what `addresses_of` returned.
-    source : int
-        IN_MEMORY or FROM_PINOCCHIO.
+    `address`: of the memory of what `addresses_of` returned.
+    `source`: IN_MEMORY or FROM_PINOCCHIO.
     """
     a = Addresses(integers_at(address, ADDRESSES))
     if source == FROM_PINOCCHIO:

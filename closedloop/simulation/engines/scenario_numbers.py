@@ -271,49 +271,29 @@ def reading_kind(scenario: Scenario) -> int:
 class ScenarioNumbers:
     """A scenario as numbers: everything that the loop needs, open to inspection before it runs.
 
-    Attributes
-    ----------
-    robot, surface, integrator
-        The arm with its tip, the surface, the scheme.
-    believed : PlacedSurface or None
-        The surface that the controller believes in; None: the true one.
-    frame : (3, 3) array
-        Contact frame at t = 0: rows n, t1, t2 in base axes.
-    q, v : (n,) arrays
-        State at t = 0.
-    mode : int
-        Contact mode at t = 0, see `closedloop.mechanics.closure.contact_force`.
-    steps, h : int, float
-        Number of steps and the step, s.
-    stabiliser : (2,) array
-        s_v, 1/s, and s_p, 1/s².
-    pd_start : float
-        Instant from which the PD part of the law acts, s.
-    law, compensation, friction, joint_friction, compliance : PackedLaw
-        The law, its compensation of friction, friction, and the compliance of the surface, as numbers.
-    sensor : PackedSensor
-        The force sensor.
-    table : (steps · nodes + 1, 2 n + 14) array
-        The reference at every instant at which a stage is evaluated, see `closedloop.loop.step.entries`, and
-        the numbers that the force sensor draws.
-    nodes : int
-        Rows of the table to a step.
-    project : bool
-        Whether the state is projected onto the closure after each step.
-    hold : int
-        Steps for which a sampled torque is held; 0: the law is evaluated at every stage.
-    drives : (2, n) array
-        Largest torque of each joint, and its largest change from sample to sample, N m; infinite where there is none.
-    transmission : (5, n) array
-        See `closedloop.control.drives.transmission_constants`.
-    encoder : (k,) array
-        The parameters of the encoders.
-    wanted : Desired
-        The reference at any instant.
-    placed : ContactPlaces or None
-        Where the contacts of [[contact]] are; None without any.
-    tolerance : float or None
-        Relative tolerance of an adaptive integrator; None: the step is fixed.
+    `robot`, `surface`, `integrator`: the arm with its tip, the surface, the scheme.
+    `believed`: the surface that the controller believes in; None: the true one.
+    `frame` (3, 3): contact frame at t = 0: rows n, t1, t2 in base axes.
+    `q`, `v`, (n,) arrays: state at t = 0.
+    `mode`: contact mode at t = 0, see `closedloop.mechanics.closure.contact_force`.
+    `steps`, `h`: number of steps and the step, s.
+    `stabiliser` (2,): s_v, 1/s, and s_p, 1/s².
+    `pd_start`: instant from which the PD part of the law acts, s.
+    `law`, `compensation`, `friction`, `joint_friction`, `compliance`: the law, its compensation of friction, friction,
+        and the compliance of the surface, as numbers.
+    `sensor`: the force sensor.
+    `table` (steps · nodes + 1, 2 n + 14): the reference at every instant at which a stage is evaluated, see
+        `closedloop.loop.step.entries`, and the numbers that the force sensor draws.
+    `nodes`: rows of the table to a step.
+    `project`: whether the state is projected onto the closure after each step.
+    `hold`: steps for which a sampled torque is held; 0: the law is evaluated at every stage.
+    `drives` (2, n): largest torque of each joint, and its largest change from sample to sample, N m; infinite where
+        there is none.
+    `transmission` (5, n): see `closedloop.control.drives.transmission_constants`.
+    `encoder` (k,): the parameters of the encoders.
+    `wanted`: the reference at any instant.
+    `placed`: where the contacts of [[contact]] are; None without any.
+    `tolerance`: relative tolerance of an adaptive integrator; None: the step is fixed.
     """
 
     scenario: Scenario

@@ -41,14 +41,9 @@ Law = Callable[..., ArrayLike]
 class UserLaw:
     """A user's law, connected to a loop.
 
-    Attributes
-    ----------
-    error : Exception or None
-        Why the law gave no torque, if it did not.
-    fault : str
-        What is wrong with a torque that is not finite, in words.
-    interruption : BaseException or None
-        Ctrl-C that came as compiled code called the law, before its first line.
+    `error`, Exception or None: why the law gave no torque, if it did not.
+    `fault`, str: what is wrong with a torque that is not finite, in words.
+    `interruption`, BaseException or None: ctrl-C that came as compiled code called the law, before its first line.
     """
 
     def __init__(self, law: Law, loop: Loop) -> None:

@@ -40,18 +40,12 @@ def step_of(
 ) -> tuple[Array, Array]:
     """Return Φ (k, k) and Γ (k, m) of a step h, s.
 
-    Parameters
-    ----------
-    scheme : type of Scheme
-        The integrator.
-    A, B, begin : (k, k), (k, m), (k, m) arrays
-        The system; `begin` is B₀.
-    leads : (k,) array of int
-        For the semi-implicit scheme, the state whose new value is in the rate of this one; −1: none.
-    exact : (k,) array of bool
-        For the semi-implicit scheme, the states that advance exactly, with what they depend on held over the step.
-    decays : (k,) array
-        For the schemes of Runge and Kutta, the rates a of states that decay by themselves, 1/s; 0 of others.
+    `scheme`: the integrator.
+    `A`, `B`, `begin`, (k, k), (k, m), (k, m) arrays: the system; `begin` is B₀.
+    `leads` (k,): for the semi-implicit scheme, the state whose new value is in the rate of this one; −1: none.
+    `exact` (k,): for the semi-implicit scheme, the states that advance exactly, with what they depend on held over the
+        step.
+    `decays` (k,): for the schemes of Runge and Kutta, the rates a of states that decay by themselves, 1/s; 0 of others.
     """
     k, m = B.shape
     both = np.zeros((k + m, k + m))

@@ -92,10 +92,7 @@ def put_contacts(state: dict[str, Array], loop: Loop) -> None:
 class ClosedContacts:
     """The closed contacts of links in a loop's memory, while it is evaluated again and again.
 
-    Attributes
-    ----------
-    names : tuple of str
-        Of those that are closed.
+    `names`, tuple of str: of those that are closed.
     """
 
     def __init__(self, problem: Problem, loop: Loop) -> None:
@@ -192,10 +189,8 @@ def row_at(problem: Problem, at: float) -> int:
 def run_to(problem: Problem, row: int) -> Instant:
     """Simulate to a row and return the state there.
 
-    Raises
-    ------
-    SimulationError
-        If the run stops before, or the contact changes there: an impact, a touchdown, the end of a slip ...
+    Raises SimulationError if the run stops before, or the contact changes there: an impact, a touchdown, the end of a
+        slip ...
     """
     stepper = Stepper(problem, PINOCCHIO)
     stepper.let(None)
@@ -266,12 +261,8 @@ def run_on(problem: Problem, instant: Instant, rows: int, kick: float = 0.0) -> 
 def rows_on(problem: Problem, instant: Instant, rows: int, kick: float = 0.0) -> Array:
     """Run the whole loop on from an instant and return the next rows as they are recorded, (rows, ...).
 
-    Parameters
-    ----------
-    rows : int
-        How many; less if the run ends or stops before.
-    kick : float
-        Added to f_des at the first sample, N.
+    `rows`: how many; less if the run ends or stops before.
+    `kick`: added to f_des at the first sample, N.
     """
     problem = replace(problem, robot=problem.robot.again())
     record, n = np.zeros((problem.steps + 1, problem.row_width)), problem.robot.n
@@ -306,10 +297,7 @@ class EventHere(Exception):
 def without_event(time: float) -> Iterator[None]:
     """Say of an event at the state of an instant, s, that there is no linear loop.
 
-    Raises
-    ------
-    SimulationError
-        In place of `EventHere`.
+    Raises SimulationError in place of `EventHere`.
     """
     try:
         yield
@@ -414,18 +402,10 @@ class Here:
     def flat(self, held: bool = False, **changes: Any) -> Array:
         """Evaluate once, with changes to the state and the inputs, and return what follows in one row, see `places`.
 
-        Parameters
-        ----------
-        held : bool
-            Whether the torque is `held`, instead of the law's.
-        changes : arrays
-            q, v, z, last: added to the state; measured, force (f_des), bias (of the sensor), (1,), N; link: torque on
-            the links (n,), N m; torque: added to what is held (n,); compliance: added to its parameters.
-
-        Raises
-        ------
-        EventHere
-            If the contact would change its mode.
+        `held`: whether the torque is `held`, instead of the law's.
+        `changes`: q, v, z, last: added to the state; measured, force (f_des), bias (of the sensor), (1,), N; link:
+            torque on the links (n,), N m; torque: added to what is held (n,); compliance: added to its parameters.
+        Raises EventHere if the contact would change its mode.
         """
         loop, problem, n = self.loop, self.problem, self.n
         state, w, constants = loop.state, loop.w, loop.constants

@@ -139,12 +139,8 @@ class Margins:
 def margins_of(transfer: Callable[[Array], ComplexArray], grid: Array, cut: str, stable: bool) -> Margins:
     """Return the margins of a loop transfer L.
 
-    Parameters
-    ----------
-    transfer : callable
-        L at frequencies, Hz.
-    grid : (k,) array
-        Frequencies, Hz, in order, close enough to each other that L turns little from one to the next.
+    `transfer`: L at frequencies, Hz.
+    `grid` (k,): frequencies, Hz, in order, close enough to each other that L turns little from one to the next.
     """
     L = transfer(grid)
     closed = bool(np.max(np.abs(L)) > OPEN)

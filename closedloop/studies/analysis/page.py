@@ -170,10 +170,7 @@ def trial_line(trial: Trial) -> str:
 def page_of(study: Stability, limits: bool = True) -> Page:
     """Return the page of a scenario's loop.
 
-    Parameters
-    ----------
-    limits : bool
-        Whether the largest stable gains, stiffness and delay are solved for.
+    `limits`: whether the largest stable gains, stiffness and delay are solved for.
     """
     loop = study.base
     cuts = ["sensor", *(each.name for each in loop.inputs if each.name.startswith("torque["))]
@@ -249,28 +246,17 @@ def _longest_delay(study: Stability) -> tuple[float, float]:
 class Overview:
     """A force loop at an instant, as a sentence and as arrays to draw.
 
-    Attributes
-    ----------
-    sentence : str
-        Whether it is stable, and how far from instability, or what grows and how fast.
-    stable : bool
-    time : float
-        The instant, s: the sample of the law nearest to the one asked for.
-    poles : (k,) tuple of Pole
-        The slowest to decay first. Of each `z`, `s`, `frequency`, `damping`, `part` and `participation`.
-    margins : Margins
-        Where the loop is cut, `margins.cut`: at the sensor, or of a law that reads no force at the torque where the
-        modulus margin is least.
-    frequency : (m,) array
-        Of the curves, Hz, rising, up to half of the sampling rate.
-    transfer : (m,) array of complex
-        L where the loop is cut: real and imaginary part are Nyquist's diagram.
-    gain, phase : (m,) arrays
-        |L|, dB, at least −240, and the angle of L without jumps, degrees: Bode's diagram.
-    sensitivity : (m,) array
-        |1/(1 + L)|.
-    loop : LinearLoop
-        All else of it: `loop.response(...)`, `loop.port()`.
+    `sentence`: whether it is stable, and how far from instability, or what grows and how fast.
+    `time`: the instant, s: the sample of the law nearest to the one asked for.
+    `poles`, (k,) tuple of Pole: the slowest to decay first. Of each `z`, `s`, `frequency`, `damping`, `part` and
+        `participation`.
+    `margins`: where the loop is cut, `margins.cut`: at the sensor, or of a law that reads no force at the torque where
+        the modulus margin is least.
+    `frequency` (m,): of the curves, Hz, rising, up to half of the sampling rate.
+    `transfer`, (m,) array of complex: L where the loop is cut: real and imaginary part are Nyquist's diagram.
+    `gain`, `phase`, (m,) arrays: |L|, dB, at least −240, and the angle of L without jumps, degrees: Bode's diagram.
+    `sensitivity` (m,): |1/(1 + L)|.
+    `loop`: all else of it: `loop.response(...)`, `loop.port()`.
     """
 
     sentence: str

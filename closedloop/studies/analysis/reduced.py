@@ -40,17 +40,9 @@ def columns(here: Here, name: str, steps: Array, held: bool) -> dict[str, Array]
     the two are far apart, as over a change of the contact's mode, the step of that number is a tenth of it; the best of
     `MOST` steps is taken.
 
-    Parameters
-    ----------
-    here, name, held
-        Where, the change, and whether the torque is held; see `Here.flat`.
-    steps : (k,) array
-        The first step of each number.
-
-    Raises
-    ------
-    EventHere
-        If no step stays clear of a change of mode, or there is no derivative.
+    `here`, `name`, `held`: where, the change, and whether the torque is held; see `Here.flat`.
+    `steps` (k,): the first step of each number.
+    Raises EventHere if no step stays clear of a change of mode, or there is no derivative.
     """
     value, k = here.flat(held), steps.size
     best, least = np.empty((k, value.size)), np.full(k, np.inf)
@@ -87,14 +79,9 @@ def columns(here: Here, name: str, steps: Array, held: bool) -> dict[str, Array]
 def _apart(here: Here, value: Array, wide: Array, near: Array, step: Array) -> Array:
     """Return how far two differences (k, ...) are apart, (k,): the most of all that is evaluated, each by its size.
 
-    Parameters
-    ----------
-    value : array
-        What is evaluated without a change: its size decides what is rounding.
-    wide, near : (k, ...) arrays
-        The differences.
-    step : (k, 1) array
-        The step of the wide ones.
+    `value`: what is evaluated without a change: its size decides what is rounding.
+    `wide`, `near`, (k, ...) arrays: the differences.
+    `step` (k, 1): the step of the wide ones.
     """
     firsts = [where.start for where in here.places.values() if where.stop > where.start]
 

@@ -192,11 +192,7 @@ class Stability:
         Beyond a value that there can be no scenario with, the range ends. A value at which there is no linear loop, as
         where a drive is at its limit, is named, and the search goes on behind it.
 
-        Parameters
-        ----------
-        over : Range
-        looks : int
-            At how many values the range is looked at: two limits between neighbours are not seen.
+        `looks`: at how many values the range is looked at: two limits between neighbours are not seen.
         """
         given = dict(given or {})
         shares = np.linspace(0.0, 1.0, looks)
@@ -257,12 +253,8 @@ class Stability:
         range is looked at again where one ends. If it can be, every other value is left to a second process. Where
         none of `FIRST_LOOKS` values over the whole way has a limit, the others are not looked at.
 
-        Parameters
-        ----------
-        over, along : Range
-            The key that is solved for, and the one that is stepped along.
-        stop : callable
-            Asked at each value of `along`: if it is true, what is found until then is returned.
+        `over`, `along`: the key that is solved for, and the one that is stepped along.
+        `stop`: asked at each value of `along`: if it is true, what is found until then is returned.
         """
         shares = np.linspace(0.0, 1.0, points)
         first = shares[np.unique(np.linspace(0, points - 1, min(points, FIRST_LOOKS)).round().astype(int))]

@@ -175,10 +175,7 @@ def _force(table: dict[str, Array], asked: str | None, path: Path) -> Array | No
 def checked(recording: Recording, robot: RobotModel) -> Recording:
     """Return the recording, of this robot, with every value finite and rows evenly spaced.
 
-    Raises
-    ------
-    LogError
-        If it has another number of rows or joints, a value that is not finite, or time that jumps.
+    Raises LogError if it has another number of rows or joints, a value that is not finite, or time that jumps.
     """
     where, time = recording.source, np.asarray(recording.time, dtype=np.float64)
     N = len(time)
@@ -283,20 +280,11 @@ def audit(
 ) -> Audit:
     """Compare the force of a recording with that of its motion and torques.
 
-    Parameters
-    ----------
-    normal : (N, 3) array
-        Of the surface at each row, base axes.
-    cutoff : float, optional
-        Of the low-pass, Hz; ten times that of the motion if left out.
-    struck : (m,) array, optional
-        Instants of impacts, s: an impulse is in the motion and in no force, and rows that the filter reaches from there
-        are left out.
-
-    Raises
-    ------
-    LogError
-        If there is no torque or no force, or no rows are left.
+    `normal` (N, 3): of the surface at each row, base axes.
+    `cutoff`: of the low-pass, Hz; ten times that of the motion if left out.
+    `struck` (m,): instants of impacts, s: an impulse is in the motion and in no force, and rows that the filter reaches
+        from there are left out.
+    Raises LogError if there is no torque or no force, or no rows are left.
     """
     at, expected, f, explained, cutoff = expected_force(recording, robot, cutoff, struck)
     n = normal[at]

@@ -256,14 +256,9 @@ def along(
 ) -> dict[Direction, Along]:
     """Return the derivatives of all quantities along each direction.
 
-    Parameters
-    ----------
-    base : Sample
-        The run itself.
-    read : callable
-        Returns all quantities of a run, (M,).
-    report : callable
-        Gets (runs done, runs in all) of the table at hand.
+    `base`: the run itself.
+    `read`: returns all quantities of a run, (M,).
+    `report`: gets (runs done, runs in all) of the table at hand.
     """
     found = {direction: Along(count=base.values.size) for direction in directions}
     scatter = (LOCATED if base.happened else ROUNDING) * np.abs(base.values)

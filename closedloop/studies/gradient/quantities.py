@@ -161,13 +161,9 @@ class Output:
 def output(name: str, run: Run, *, whole: bool = False) -> Output:
     """Return the quantity that a name asks for.
 
-    Parameters
-    ----------
-    name : str
-        A value of the summary, ``rms_force_error``; a column at the row nearest to an instant, ``contact_force@3.5``,
-        ``q@end``; or a column of the table of events, ``event_time``.
-    whole : bool
-        Whether columns are taken whole, and nothing else.
+    `name`: a value of the summary, ``rms_force_error``; a column at the row nearest to an instant,
+        ``contact_force@3.5``, ``q@end``; or a column of the table of events, ``event_time``.
+    `whole`: whether columns are taken whole, and nothing else.
     """
     column, at, instant = name.partition(AT)
     if (

@@ -90,16 +90,10 @@ def fit(
 ) -> Fit:  # fmt: skip
     """Fit the parameters of W (R, n, b) to torques (R, n), by least squares or with instruments Z (R, n, b).
 
-    Parameters
-    ----------
-    used : (R, n) bool
-        Which torques count.
-    told : (b,) bool, optional
-        Parameters to be found; the others are 0. What the rows tell apart, if not given.
-    least : (n,), optional
-        Standard deviation that the noise of the torques has at least, N m.
-    seen : (R, n, b), optional
-        In place of W, what tells parameters apart.
+    `used` (R, n): which torques count.
+    `told` (b,): parameters to be found; the others are 0. What the rows tell apart, if not given.
+    `least` (n,): standard deviation that the noise of the torques has at least, N m.
+    `seen` (R, n, b): in place of W, what tells parameters apart.
     """
     n, b = W.shape[1:]
     Z = W if Z is None else Z
@@ -190,12 +184,8 @@ def _autoregression(X: Array, torque: Array, used: Mask, sigma: Array) -> tuple[
     """Return φ and s (n,) of the noise of each joint, which maximise the restricted likelihood of torques (R, n), and
     the covariance (2n, 2n) of φ and log s².
 
-    Parameters
-    ----------
-    X : (R, n, b)
-        Columns that are told apart; of about one length, each row over `sigma`.
-    sigma : (n,)
-        Standard deviation of the noise, where the search begins.
+    `X` (R, n, b): columns that are told apart; of about one length, each row over `sigma`.
+    `sigma` (n,): standard deviation of the noise, where the search begins.
     """
     n, b = X.shape[1:]
     both = used[1:] & used[:-1]
@@ -242,10 +232,7 @@ def told_apart(square: Array) -> tuple[Mask, list[tuple[int, ...]]]:
     A column is not told if it is zero, or if the part of it that the others do not explain is below `UNIQUE` of it. Of
     columns that look alike one is taken out after the other, the least told first, and the rest is asked again.
 
-    Parameters
-    ----------
-    square : (b, b)
-        XᵀX.
+    `square` (b, b): XᵀX.
     """
     b = len(square)
     size = np.sqrt(np.maximum(np.diag(square), 0.0))

@@ -159,13 +159,9 @@ def speed_noise(log: Log, cutoff: float) -> Array:
 def motion(log: Log, cutoff: float, half: int | None = None) -> Motion:
     """Return the motion and the torques of a log.
 
-    Parameters
-    ----------
-    cutoff : float
-        Of the low-pass, Hz, below half the rate of the log. A window is half its period.
-    half : 0 or 1, optional
-        Every other row of the positions is used, from this one on: the others are replaced by what lies between them,
-        so that two motions of one log have noise that is independent.
+    `cutoff`: of the low-pass, Hz, below half the rate of the log. A window is half its period.
+    `half`: every other row of the positions is used, from this one on: the others are replaced by what lies between
+        them, so that two motions of one log have noise that is independent.
     """
     step, N = log.step, len(log.time)
     if not 0.0 < cutoff < 0.5 / step:

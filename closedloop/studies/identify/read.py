@@ -239,10 +239,7 @@ def factors_of(gain: float | Sequence[float]) -> Array:
 def log_of_run(run: Run, source: str = "the run") -> Log:
     """Return the log of a run: encoders where it has them, and torques that the force on the tip is added to.
 
-    Raises
-    ------
-    LogError
-        If links have contacts, or joints are elastic: their torques are not those of the drives alone.
+    Raises LogError if links have contacts, or joints are elastic: their torques are not those of the drives alone.
     """
     from closedloop.mechanics.robot.pinocchio import Robot
 

@@ -78,12 +78,8 @@ class Terms:
 class Regressor:
     """W of a robot with given terms.
 
-    Attributes
-    ----------
-    names : tuple of str
-        Of the parameters χ: KIND_JOINT, such as "Izz_J2" or "dry_J1", and those of `Terms.extra`.
-    kinds : tuple of str
-        Of those that each joint has.
+    `names`, tuple of str: of the parameters χ: KIND_JOINT, such as "Izz_J2" or "dry_J1", and those of `Terms.extra`.
+    `kinds`, tuple of str: of those that each joint has.
     """
 
     def __init__(self, robot: RobotModel, terms: Terms) -> None:

@@ -74,12 +74,9 @@ class Axis:
 def parse_axis(text: str, drawn: bool = False) -> Axis:
     """Read an axis from KEY=VALUES.
 
-    Parameters
-    ----------
-    text : str
-        ``law.force=5:15:11``, ``stabiliser.time_constant=log:1e-4:1e-2:20``, ``time.integrator=rk4,explicit_euler``.
-    drawn : bool
-        Whether values are drawn from the range, so that how many there are need not be said.
+    `text`: ``law.force=5:15:11``, ``stabiliser.time_constant=log:1e-4:1e-2:20``,
+        ``time.integrator=rk4,explicit_euler``.
+    `drawn`: whether values are drawn from the range, so that how many there are need not be said.
     """
     if not text.isprintable():
         raise ScenarioError(f"--over {text}: has characters that cannot be printed")

@@ -40,12 +40,8 @@ METADATA = "closedloop_sweep"
 def pieces(path: Path) -> Iterator[pa.Table]:
     """Yield the rows of a table's file, some at a time; files without checksums, as others write them, are read too.
 
-    Raises
-    ------
-    ValueError, KeyError, pyarrow.ArrowException
-        If it is no Parquet file, or is damaged.
-    OSError
-        If it cannot be read; without a number if it is damaged.
+    Raises ValueError or KeyError or pyarrow.ArrowException if it is no Parquet file, or is damaged.
+    Raises OSError if it cannot be read; without a number if it is damaged.
     """
     from pyarrow import parquet
 
@@ -83,16 +79,9 @@ def write_columns(
 ) -> None:
     """Write the whole columns of all parts into a file.
 
-    Parameters
-    ----------
-    step : float
-        Time between the rows of a run, s, where the runs do not say.
-    check : callable
-        Called between two parts; it may raise.
-
-    Raises
-    ------
-    OutputError
+    `step`: time between the rows of a run, s, where the runs do not say.
+    `check`: called between two parts; it may raise.
+    Raises OutputError.
     """
     runs, rows = store.identity["runs"], 0
     widths: dict[str, tuple[int, ...]] = {}
@@ -110,13 +99,7 @@ def write_columns(
         else:
             out.create_variable("time", ("time",), data=step * np.arange(rows)).attrs["units"] = "s"
         for name, wide in widths.items():
-            column = ALL_COLUMNS[name]
-            if wide and column.dims[1] not in out.dimensions:
-                out.dimensions[column.dims[1]] = wide[0]
-            variable = out.create_variable(
-                name, ("run", *column.dims), "f8", fillvalue=np.nan, chunks=(1, max(rows, 1), *wide), fletcher32=True
-            )  # fmt: skip
-            variable.attrs["units"], variable.attrs["long_name"] = column.units, column.meaning
+            _create(out, name, rows, wide)
         first = 0
         for part in range(parts):
             check()
@@ -149,6 +132,16 @@ class Joined:
     counts: dict[str, int]  # how many runs have each status
     verdicts: dict[str, int]  # how many runs have each verdict that is not good
     controls: dict[str, int]  # the same of the verdict of the control
+
+
+def _create(file: Any, name: str, rows: int, wide: tuple[int, ...]) -> None:
+    column = ALL_COLUMNS[name]
+    if wide and column.dims[1] not in file.dimensions:
+        file.dimensions[column.dims[1]] = wide[0]
+    variable = file.create_variable(
+        name, ("run", *column.dims), "f8", fillvalue=np.nan, chunks=(1, max(rows, 1), *wide), fletcher32=True
+    )  # fmt: skip
+    variable.attrs["units"], variable.attrs["long_name"] = column.units, column.meaning
 
 
 def already_there(identity: dict[str, Any], out: Path) -> Joined | None:
@@ -188,17 +181,9 @@ def already_there(identity: dict[str, Any], out: Path) -> Joined | None:
 def join(store: Store, out: Path, parts: int, columns: pa.Schema, step: float) -> Joined:
     """Make the table of the parts, and remove them.
 
-    Parameters
-    ----------
-    out : Path
-        The table.
-    step : float
-        Time between the rows of a run, s, where the runs do not say.
-
-    Raises
-    ------
-    OutputError
-        If a file cannot be written; the parts stay.
+    `out`: the table.
+    `step`: time between the rows of a run, s, where the runs do not say.
+    Raises OutputError if a file cannot be written; the parts stay.
     """
     description = json.dumps({"format": FORMAT, "identity": store.identity})
     attributes = {METADATA: description}

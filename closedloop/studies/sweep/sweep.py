@@ -72,11 +72,8 @@ class Sweep:
     ) -> "Sweep":
         """Return a sweep that can begin; `law` is MODULE:FUNCTION, imported here, or "" for the scenario's own.
 
-        Raises
-        ------
-        ScenarioError, ModelError
-            If a key is unknown, the engine does not cover the scenario, there is no such column to keep, or the robot
-            is at fault.
+        Raises ScenarioError or ModelError if a key is unknown, the engine does not cover the scenario, there is no such
+            column to keep, or the robot is at fault.
         """
         own = import_law(law) if law else None
         sweep = cls(scenario, design, kept_columns(keep), engine, law, law_digest(own) if law else "")
@@ -153,27 +150,14 @@ def run_sweep(
 ) -> Joined:
     """Run what is not yet there of a sweep, and join its parts into the table.
 
-    Parameters
-    ----------
-    sweep : Sweep
-    out : path
-        The table, a Parquet file; whole columns go into a NetCDF file of the same name beside it, parts into a folder
-        until all are there.
-    workers : int, optional
-        Threads; as many as there are cores if left out.
-    scheduler : str, optional
-        Address of a Dask scheduler, ``tcp://host:port``, whose workers run the parts instead.
-    progress : callable, optional
-        Gets (runs done, runs in all).
-    overwrite : bool
-        Whether a file there that is not this sweep's is replaced once this one is done; its parts go at once.
-
-    Raises
-    ------
-    OutputError
-        If `out` cannot be written, or is there already and not this sweep's.
-    ClusterError
-        If the scheduler does not answer, or is lost on the way; what was done is kept.
+    `out`: the table, a Parquet file; whole columns go into a NetCDF file of the same name beside it, parts into a
+        folder until all are there.
+    `workers`: threads; as many as there are cores if left out.
+    `scheduler`: address of a Dask scheduler, ``tcp://host:port``, whose workers run the parts instead.
+    `progress`: gets (runs done, runs in all).
+    `overwrite`: whether a file there that is not this sweep's is replaced once this one is done; its parts go at once.
+    Raises OutputError if `out` cannot be written, or is there already and not this sweep's.
+    Raises ClusterError if the scheduler does not answer, or is lost on the way; what was done is kept.
     """
     out = Path(out)
     threads = threads_for(sweep.engine, workers)
@@ -237,19 +221,10 @@ def run_on_cluster(
 ) -> None:  # fmt: skip
     """Run the missing parts of a sweep and write them.
 
-    Parameters
-    ----------
-    finished : callable
-        Gets how many runs have come back.
-    report : callable
-        Shows how far it is.
-
-    Raises
-    ------
-    ScenarioError
-        If Dask is not installed, or there is no scheduler at this address.
-    ClusterError
-        If the cluster is lost on the way, or a part killed too many workers; what was written stays.
+    `finished`: gets how many runs have come back.
+    `report`: shows how far it is.
+    Raises ScenarioError if Dask is not installed, or there is no scheduler at this address.
+    Raises ClusterError if the cluster is lost on the way, or a part killed too many workers; what was written stays.
     """
     try:
         import distributed as dask_distributed

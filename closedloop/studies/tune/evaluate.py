@@ -94,17 +94,9 @@ class Limit:
 def varied(scenario: Scenario, vary: Mapping[str, Sequence[float]], log: Sequence[str] = ()) -> list[Varied]:
     """Return the numbers that vary.
 
-    Parameters
-    ----------
-    vary : mapping of str to (low, high)
-        Keys, of a number, a list, or an entry of a list such as ``law.kp[1]``.
-    log : sequence of str
-        Those whose ranges are even in their logarithms.
-
-    Raises
-    ------
-    ScenarioError
-        If a key is unknown or no real number, or a range has no two ends.
+    `vary`: keys, of a number, a list, or an entry of a list such as ``law.kp[1]``.
+    `log`: those whose ranges are even in their logarithms.
+    Raises ScenarioError if a key is unknown or no real number, or a range has no two ends.
     """
     found: dict[str, Varied] = {}
     if not vary:

@@ -93,12 +93,8 @@ def passive_viscous(par: Any, load: float = 1.0) -> float:
 def is_passive(par: Any, load: float = 1.0) -> bool:
     """Return whether the law is known never to add energy, by one of the two conditions above.
 
-    Parameters
-    ----------
-    par
-        Parameters of one contact, by name.
-    load : float
-        The largest normal force f, N; for a joint 1. It matters to the viscous condition alone.
+    `par`: parameters of one contact, by name.
+    `load`: the largest normal force f, N; for a joint 1. It matters to the viscous condition alone.
     """
     return bool(par.viscous >= passive_viscous(par, load) or par.damping_speed <= passive_damping_speed(par))
 

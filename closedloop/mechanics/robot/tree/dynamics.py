@@ -186,21 +186,13 @@ def tree_terms(
 ) -> None:
     """Write the terms of the robot in Eq. 24 at (q, v).
 
-    Parameters
-    ----------
-    tree : Tree
-        From `tree_of`.
-    q, v : (n,) arrays
-        Joint positions, rad (m), and rates, rad/s (m/s).
-    work : (work_size(n),) array
-        Scratch, zeros at first; not shared by threads.
-    H : (n, n) array
-        Written: mass matrix, kg m² (kg), armature included, the upper triangle; below it nothing is written.
-    C : (n,) array
-        Written: Coriolis, centrifugal and gravity terms, and those of springs, N m (N).
-    of_tip : arrays (3, n), (3,) and (3,)
-        Written: the tip's Jacobian Jᵣ (Eq. 13; zero for joints that do not move it), position r, m, and J̇ᵣq̇ (Eq. 18),
-        m/s², in base axes.
+    `tree`: from `tree_of`.
+    `q`, `v`, (n,) arrays: joint positions, rad (m), and rates, rad/s (m/s).
+    `work`, (work_size(n),) array: scratch, zeros at first; not shared by threads.
+    `H` (n, n): written: mass matrix, kg m² (kg), armature included, the upper triangle; below it nothing is written.
+    `C` (n,): written: Coriolis, centrifugal and gravity terms, and those of springs, N m (N).
+    `of_tip`, arrays (3, n), (3,) and (3,): written: the tip's Jacobian Jᵣ (Eq. 13; zero for joints that do not move
+        it), position r, m, and J̇ᵣq̇ (Eq. 18), m/s², in base axes.
     """
     J, r, drift = of_tip
     sines(tree, q, work)
@@ -225,13 +217,8 @@ def tree_kinematics(tree: Tree, q: Array, v: Array, work: Array, J: Array, r: Ar
 def tree_turning(tree: Tree, work: Array, axes: Array, J: Array) -> None:
     """Write the orientation of the tip's link, after `tree_kinematics` with this scratch.
 
-    Parameters
-    ----------
-    tree, work
-        See `tree_terms`.
-    axes : (3, 3) array
-        Written: the link's axes as `Tree` has them, columns, base axes.
-    J : (3, n) array
-        Written: the link's angular velocity per joint rate, base axes.
+    `tree`, `work`: see `tree_terms`.
+    `axes` (3, 3): written: the link's axes as `Tree` has them, columns, base axes.
+    `J` (3, n): written: the link's angular velocity per joint rate, base axes.
     """
     turning(tree, work, axes, J)

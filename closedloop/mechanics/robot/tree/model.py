@@ -30,19 +30,11 @@ _AXES = {"X": (1.0, 0.0, 0.0), "Y": (0.0, 1.0, 0.0), "Z": (0.0, 0.0, 1.0)}
 def tree_of(model: RobotModel, tip: str, built: Any = None) -> Tree:
     """Return the arrays of a robot with a tip.
 
-    Parameters
-    ----------
-    model : RobotModel
-        From `robot_models.load`; it is Pinocchio's model of it that is read, so both engines simulate one robot.
-    tip : str
-        Frame whose origin touches the surface.
-    built : pinocchio.Model, optional
-        What the model's `pinocchio_model` returns, if it is there.
-
-    Raises
-    ------
-    ModelError
-        If the robot has no such frame, or a joint that is not revolute, continuous, prismatic or a ball joint.
+    `model`: from `robot_models.load`; it is Pinocchio's model of it that is read, so both engines simulate one robot.
+    `tip`: frame whose origin touches the surface.
+    `built`: what the model's `pinocchio_model` returns, if it is there.
+    Raises ModelError if the robot has no such frame, or a joint that is not revolute, continuous, prismatic or a ball
+        joint.
     """
     pin: Any = model.pinocchio_model() if built is None else built
     frame = pin.frames[pin.getFrameId(model.require_frame(tip))]

@@ -19,10 +19,7 @@ OUT_OF_TANGENT = 1e-9
 def across_normal(direction: tuple[float, float, float], normal: tuple[float, float, float]) -> Array:
     """Return the unit vector along an axis in the surface's axes.
 
-    Raises
-    ------
-    ScenarioError
-        If it is not at right angles to the normal.
+    Raises ScenarioError if it is not at right angles to the normal.
     """
     axis, n = unit(direction, "surface.axis"), unit(normal, "surface.normal")
     if abs(out := float(axis @ n)) > OUT_OF_TANGENT:

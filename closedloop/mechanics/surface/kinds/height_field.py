@@ -38,10 +38,7 @@ class HeightField(Placed):
     def bounds(self) -> tuple[float, float]:
         """Return those of the grid, or of a smaller patch of it.
 
-        Raises
-        ------
-        ScenarioError
-            If a round edge is not on the grid.
+        Raises ScenarioError if a round edge is not on the grid.
         """
         rows, columns = len(self.heights), len(self.heights[0])
         a, b = super().bounds()
@@ -94,14 +91,9 @@ class HeightField(Placed):
 def weight(t: float, k: int, order: int) -> float:
     """Return the k-th of the four cubic B-splines that are not zero on an interval, or its first or second derivative.
 
-    Parameters
-    ----------
-    t : float
-        Place in the interval, 0 to 1.
-    k : int
-        0 to 3.
-    order : int
-        0, 1 or 2.
+    `t`: place in the interval, 0 to 1.
+    `k`: 0 to 3.
+    `order`: 0, 1 or 2.
     """
     if k > 1:  # they mirror each other
         mirrored = weight_of_first_two(1.0 - t, 3 - k, order)

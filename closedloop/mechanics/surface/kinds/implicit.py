@@ -44,10 +44,7 @@ class Implicit(Placed):
     def resolved(self) -> dict[str, Any]:
         """Return, in place of the text, its instructions, and `at` on the surface.
 
-        Raises
-        ------
-        ScenarioError
-            If there is no surface next to `at`, or it has no normal there, or is seen from inside.
+        Raises ScenarioError if there is no surface next to `at`, or it has no normal there, or is seen from inside.
         """
         tape, at = instructions(self.expression), np.array(self.at)
         memory, gradient, hessian = np.array(tape), np.zeros(3), np.zeros((3, 3))

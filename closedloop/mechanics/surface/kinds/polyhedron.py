@@ -54,10 +54,7 @@ class Polyhedron(Placed):
     def resolved(self) -> dict[str, Any]:
         """Return all faces with unit normals, that at z = 0 first.
 
-        Raises
-        ------
-        ScenarioError
-            If an edge is so near to the origin that the surface does not go through it.
+        Raises ScenarioError if an edge is so near to the origin that the surface does not go through it.
         """
         faces = np.array(self.faces).reshape(-1, 4)
         faces = faces / np.linalg.norm(faces[:, :3], axis=1)[:, None]

@@ -79,10 +79,7 @@ class Poses(SurfaceMotion):
     def resolved(self) -> dict[str, Any]:
         """Return the instants, s, the last one repeated, and the segments of the spline with where they begin, m.
 
-        Raises
-        ------
-        ScenarioError
-            If two instants are too close, or all.
+        Raises ScenarioError if two instants are too close, or all.
         """
         from scipy.interpolate import make_interp_spline
         from scipy.spatial.transform import Rotation

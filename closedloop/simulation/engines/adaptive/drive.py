@@ -120,14 +120,9 @@ def tolerance_for(sliding: list[Slip], scheme: int, tolerance: float) -> float:
 def jacobian(rate: Rate, t: float, y: Array, w: Work, state: State) -> Array:
     """Return ∂ẏ/∂y (N, N) by forward differences, with steps small against the slips, on which it depends most.
 
-    Parameters
-    ----------
-    rate : callable
-        ẏ(t, y).
-    t, y
-        Instant, s, and state (N,).
-    w, state : Work, State
-        The memory in which `rate` writes the slips of the state evaluated.
+    `rate`: ẏ(t, y).
+    `t`, `y`: instant, s, and state (N,).
+    `w`, `state`: the memory in which `rate` writes the slips of the state evaluated.
     """
     n = w.q.shape[0]
     slope = rate(t, y)

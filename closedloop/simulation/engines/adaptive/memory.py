@@ -42,16 +42,10 @@ class Stopped(Exception):
 class Memory:
     """The loop's memory, and the calls on it; a state y (2 n + k + 1,) is q, q̇, z and the energy supplied.
 
-    Attributes
-    ----------
-    constants, state, w
-        See `closedloop.loop.step.memory`.
-    hold : int
-        Rows for which a sampled torque is held, 0: none.
-    rows : (steps + 1, width) array
-        The record.
-    driver : Driver
-        What steps the loop.
+    `constants`, `state`, `w`: see `closedloop.loop.step.memory`.
+    `hold`, int: rows for which a sampled torque is held, 0: none.
+    `rows`, (steps + 1, width) array: the record.
+    `driver`, Driver: what steps the loop.
     """
 
     def __init__(self, problem: Problem, law: Law | None) -> None:
@@ -80,15 +74,8 @@ class Memory:
     def evaluate(self, t: float, y: Array, interval: Interval, use: int) -> None:
         """Evaluate law, friction, contact and Eq. 24 at y at the instant t, s.
 
-        Parameters
-        ----------
-        use : int
-            DERIVE, BEGIN_STEP, EVENT_VALUE (the event function is in w.search.value) or RECORD (in row state.row).
-
-        Raises
-        ------
-        Stopped
-            If there is no solution, or a user's law returns no torque.
+        `use`: DERIVE, BEGIN_STEP, EVENT_VALUE (the event function is in w.search.value) or RECORD (in row state.row).
+        Raises Stopped if there is no solution, or a user's law returns no torque.
         """
         self._wanted[0, : Reference.count(self._problem.robot.n)] = interval.at(t)
         instant, begins = t, self._problem.pd_start

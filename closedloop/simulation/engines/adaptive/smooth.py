@@ -38,16 +38,10 @@ def first_crossing(
 ) -> float | None:
     """Return the first instant in 0 .. length at which the event function falls through zero, None if it does not.
 
-    Parameters
-    ----------
-    event_function : callable
-        Not negative at 0 but for rounding.
-    length : float
-        Of the step.
-    floor : float
-        A value no further than this below zero is rounding.
-    rate : callable, optional
-        Derivative of the event function. With it a minimum between two samples is found, and a rise from zero that
+    `event_function`: not negative at 0 but for rounding.
+    `length`: of the step.
+    `floor`: a value no further than this below zero is rounding.
+    `rate`: derivative of the event function. With it a minimum between two samples is found, and a rise from zero that
         ends before the first sample.
     """
     times: list[float] = np.linspace(0.0, length, SAMPLES + 1).tolist()
@@ -128,15 +122,10 @@ def interval_from(wanted: Desired, start: float, end: float) -> Interval:
 def jumps(wanted: Desired, others: Array, rows: Array) -> Array:
     """Return the instants between which the right-hand side is smooth, s, increasing.
 
-    Parameters
-    ----------
-    wanted : Desired
-        Its knots, the ends of the segments of the tip's path, and the corners of the force profile.
-    others : array
-        Further instants, s.
-    rows : (N,) array
-        Instants of the recorded rows, s, the first and the last of which bound the run; a discontinuity that differs
-        from one of them by rounding is set to it.
+    `wanted`: its knots, the ends of the segments of the tip's path, and the corners of the force profile.
+    `others`: further instants, s.
+    `rows` (N,): instants of the recorded rows, s, the first and the last of which bound the run; a discontinuity that
+        differs from one of them by rounding is set to it.
     """
     segments = [x for segment in wanted.tip.segments for x in (segment.start, segment.stop)]
     instants = np.concatenate([rows[[0, -1]], wanted.joints.times, segments, _force_jumps(wanted), others])

@@ -118,10 +118,7 @@ def plot(run: Run, ax: Axes | Sequence[Axes] | None = None) -> Figure:
     Where nothing leads a tip it is `bodies`, or the forces of their contacts if they rest. For `ax` see
     `closedloop.figures`.
 
-    Raises
-    ------
-    ValueError
-        If the run has no row.
+    Raises ValueError if the run has no row.
     """
     if len(run) == 0:
         raise ValueError(f"the run of {run.scenario.name} has no row to draw")

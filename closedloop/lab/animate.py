@@ -274,19 +274,10 @@ NEEDS_FFMPEG = missing_line("a .mp4 needs", "ffmpeg", "mp4") + ", or write a .gi
 def animate(run: Run, path: str | Path, *, speed: float = 1.0, frames_per_second: int = FRAMES_PER_SECOND) -> Path:
     """Write a film of a run and return its path.
 
-    Parameters
-    ----------
-    path : path
-        A .gif or a .mp4.
-    speed : float
-        Seconds of the run in a second of the film.
-
-    Raises
-    ------
-    ScenarioError
-        If the path has another ending, the run has no rows, or a number is none that a film can have.
-    OutputError
-        If the file cannot be written, or a .mp4 is asked for and there is no ffmpeg.
+    `path`: a .gif or a .mp4.
+    `speed`: seconds of the run in a second of the film.
+    Raises ScenarioError if the path has another ending, the run has no rows, or a number is none that a film can have.
+    Raises OutputError if the file cannot be written, or a .mp4 is asked for and there is no ffmpeg.
     """
     if len(run):
         panel = reduced(main_panel(run), float(run.time[0]), float(run.time[-1]), CELLS)

@@ -29,14 +29,9 @@ _log = logging.getLogger("closedloop.serve")
 class Served:
     """A scenario that is being served, in a thread of its own; as a context manager it is closed at the end.
 
-    Attributes
-    ----------
-    host : str
-        Where it listens.
-    ports : tuple of int
-        The ports, in the order of its interface: of Franka's the arm's and the gripper's.
-    port : int
-        The first of them.
+    `host`, str: where it listens.
+    `ports`, tuple of int: the ports, in the order of its interface: of Franka's the arm's and the gripper's.
+    `port`, int: the first of them.
     """
 
     def __init__(self, interface: Interface, host: str) -> None:
@@ -70,10 +65,7 @@ class Served:
     def close(self) -> Run:
         """End the serving, and return the record; again the same one.
 
-        Raises
-        ------
-        SimulationError
-            If the simulation could not go on; its `run` holds the rows until then.
+        Raises SimulationError if the simulation could not go on; its `run` holds the rows until then.
         """
         self._interface.stop()
         self._thread.join()

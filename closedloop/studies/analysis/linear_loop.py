@@ -33,17 +33,12 @@ DEADBEAT = 1e-6
 class Pole:
     """A pole of the loop.
 
-    Attributes
-    ----------
-    z, s : complex
-        From sample to sample, and the continuous equivalent ln(z)/dt, 1/s; −∞ for a pole at z = 0.
-    frequency : float
-        Natural frequency |s|, Hz.
-    damping : float
-        Damping ratio −Re s/|s|; 1 for a real pole that decays.
-    participation : dict of str to float
-        Share of each part: arm, contact, law, compensation, filter, sensor, delay, hold, transmission, friction,
-        encoder; the sum is 1. The share of a state is |l_k r_k| with the left and the right eigenvector, normalised.
+    `z`, `s`: from sample to sample, and the continuous equivalent ln(z)/dt, 1/s; −∞ for a pole at z = 0.
+    `frequency`: natural frequency |s|, Hz.
+    `damping`: damping ratio −Re s/|s|; 1 for a real pole that decays.
+    `participation`: share of each part: arm, contact, law, compensation, filter, sensor, delay, hold, transmission,
+        friction, encoder; the sum is 1. The share of a state is |l_k r_k| with the left and the right eigenvector,
+        normalised.
     """
 
     z: complex
@@ -94,22 +89,14 @@ OPEN = 1e-12
 class Margins:
     """Margins of a loop cut at one place.
 
-    Attributes
-    ----------
-    cut : str
-        "sensor", or "torque[JOINT]".
-    stable, closed : bool
-        Whether the loop is stable, and whether anything is fed back there.
-    gain, gain_at : float
-        The factor by which the gain may rise, infinite if any, and the frequency at which it then oscillates, Hz.
-    least_gain : float
-        The factor by which the gain may fall, 0 if any: above it the loop is stable.
-    phase, phase_at : float
-        Phase margin, degrees, infinite if |L| is below 1 everywhere, and its frequency, Hz.
-    delay : float
-        Delay margin, s.
-    modulus, peak_sensitivity, peak_at : float
-        min |1 + L|, max |S| = 1/that, and where, Hz.
+    `cut`: "sensor", or "torque[JOINT]".
+    `stable`, `closed`: whether the loop is stable, and whether anything is fed back there.
+    `gain`, `gain_at`: the factor by which the gain may rise, infinite if any, and the frequency at which it then
+        oscillates, Hz.
+    `least_gain`: the factor by which the gain may fall, 0 if any: above it the loop is stable.
+    `phase`, `phase_at`: phase margin, degrees, infinite if |L| is below 1 everywhere, and its frequency, Hz.
+    `delay`: delay margin, s.
+    `modulus`, `peak_sensitivity`, `peak_at`: min |1 + L|, max |S| = 1/that, and where, Hz.
     """
 
     cut: str
@@ -236,27 +223,18 @@ class Quantity(NamedTuple):
 class LinearLoop:
     """The force loop, linear about the motion at an instant.
 
-    Attributes
-    ----------
-    A, B, C, D : arrays
-        x⁺ = A x + B u, y = C x + D u, from one sample of the law to the next; inputs are held in between.
-    dt : float
-        Time between two samples, s.
-    states, inputs, outputs : tuples of Quantity
-        Their names, with units, and the part that a state belongs to.
-    time : float
-        The instant, s.
-    mode : int
-        Mode of the contact, as in `Run.mode`: 1 pressed, 2 stuck.
-    soft : bool
-        Whether the surface gives way.
-    closure : (k,) array of complex
-        Poles of Baumgarte's stabiliser, from step to step: they are no part of the loop, which stays on the closure.
-    normal : (x,) array
-        The tip's velocity along n, m/s, by the states.
-    held_force : bool
-        Whether f acts unchanged over a step, as in a scheme of one stage, and on a rigid surface: its power is then f
-        times the mean of the velocities before and after.
+    `A`, `B`, `C`, `D`: x⁺ = A x + B u, y = C x + D u, from one sample of the law to the next; inputs are held in
+        between.
+    `dt`: time between two samples, s.
+    `states`, `inputs`, `outputs`: their names, with units, and the part that a state belongs to.
+    `time`: the instant, s.
+    `mode`: mode of the contact, as in `Run.mode`: 1 pressed, 2 stuck.
+    `soft`: whether the surface gives way.
+    `closure`, (k,) array of complex: poles of Baumgarte's stabiliser, from step to step: they are no part of the loop,
+        which stays on the closure.
+    `normal` (x,): the tip's velocity along n, m/s, by the states.
+    `held_force`: whether f acts unchanged over a step, as in a scheme of one stage, and on a rigid surface: its power
+        is then f times the mean of the velocities before and after.
     """
 
     A: Array
@@ -333,10 +311,7 @@ class LinearLoop:
         The input "surface" is the displacement of the surface along n, m, and the output "normal velocity" the
         velocity of the tip along n with which f has its power, m/s.
 
-        Raises
-        ------
-        ScenarioError
-            If there is no such input or output.
+        Raises ScenarioError if there is no such input or output.
         """
         f = np.atleast_1d(np.asarray(frequency, dtype=float))
         z = np.exp(2j * math.pi * f * self.dt)
@@ -374,10 +349,7 @@ class LinearLoop:
 
         At "torque[JOINT]" the loops of the other joints stay closed.
 
-        Raises
-        ------
-        ScenarioError
-            If there is no such place.
+        Raises ScenarioError if there is no such place.
         """
         if cut == "sensor":
             T = self.frequency_response("sensor noise", "force felt", frequency)
@@ -411,18 +383,10 @@ class LinearLoop:
     ) -> tuple[Array, Array]:
         """Return the times, s, and the response of an output to a unit step of an input.
 
-        Parameters
-        ----------
-        input, output : str
-            Names of `inputs` and `outputs`. For the input "surface" the surface moves by 1 mm along n in the time
-            `rise`, because no surface jumps. A step of another input is 1 of its unit at t = 0.
-        duration, rise : float
-            Length of the response, and the time in which the surface moves, s.
-
-        Raises
-        ------
-        ScenarioError
-            If there is no such input or output.
+        `input`, `output`: names of `inputs` and `outputs`. For the input "surface" the surface moves by 1 mm along n in
+            the time `rise`, because no surface jumps. A step of another input is 1 of its unit at t = 0.
+        `duration`, `rise`: length of the response, and the time in which the surface moves, s.
+        Raises ScenarioError if there is no such input or output.
         """
         steps = max(1, round(duration / self.dt))
         surface = input == "surface"
@@ -459,10 +423,7 @@ class LinearLoop:
     def to_control(self) -> Any:
         """Return it as a `control.StateSpace`.
 
-        Raises
-        ------
-        ScenarioError
-            If python-control is not installed.
+        Raises ScenarioError if python-control is not installed.
         """
         try:
             import control

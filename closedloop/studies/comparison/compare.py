@@ -36,14 +36,9 @@ OF = ("rms_force_error", "peak_contact_force", "rms_path_error", "force_chatter"
 class Comparison:
     """The result of a comparison.
 
-    Attributes
-    ----------
-    runs : DataFrame
-        A row for each run: `scenario`, the keys that vary, status, both verdicts, and the values compared.
-    of : tuple of str
-        The values compared.
-    units : dict of str to str
-        Their units.
+    `runs`: a row for each run: `scenario`, the keys that vary, status, both verdicts, and the values compared.
+    `of`: the values compared.
+    `units`: their units.
     """
 
     runs: pd.DataFrame

@@ -100,24 +100,13 @@ def read_recording(
 ) -> Recording:
     """Read a log or a run file.
 
-    Parameters
-    ----------
-    path : str or Path
-        .csv, .parquet, .nc, .mcap, .db3 or a folder of rosbag2.
-    robot : RobotModel
-        Whose joints the columns are of.
-    columns : mapping, optional
-        Of "time", "q", "torque", "force", "speed" to names, as `closedloop.studies.identify.read.read_log` takes them;
-        of "force" one name, or three with commas between.
-    degrees : bool
-        Whether angles are in degrees.
-    gain : float or (n,)
-        What torques are multiplied by.
-
-    Raises
-    ------
-    LogError
-        If the file cannot be read, a column is missing, a value is not finite, or time jumps.
+    `path`: .csv, .parquet, .nc, .mcap, .db3 or a folder of rosbag2.
+    `robot`: whose joints the columns are of.
+    `columns`: of "time", "q", "torque", "force", "speed" to names, as `closedloop.studies.identify.read.read_log` takes
+        them; of "force" one name, or three with commas between.
+    `degrees`: whether angles are in degrees.
+    `gain`, float or (n,): what torques are multiplied by.
+    Raises LogError if the file cannot be read, a column is missing, a value is not finite, or time jumps.
     """
     path, given, factors = Path(path), dict(columns or {}), factors_of(gain)
     if unknown := set(given) - {"time", "q", "torque", "force", "speed"}:
@@ -217,23 +206,14 @@ CONSISTENT, SMALL = 0.1, 0.2
 class Audit:
     """The result of the audit of a recorded force.
 
-    Attributes
-    ----------
-    what : str
-        The reading that fits best, such as "along the normal, on the robot".
-    rms : float
-        RMS of recorded minus expected force in this reading, N.
-    size : float
-        RMS of the expected force, N.
-    usual : float
-        RMS of the difference if the force is read by this simulator's convention, along the normal and on the robot, N.
-    explained : float
-        Share of the joint torque, beyond that of motion and drives, that a force at the tip explains.
-    reasons : list of Reason
-        Explanations of the remaining difference: bias, gain, delay.
-    rows : int
-    cutoff : float
-        Of the filters, Hz.
+    `what`: the reading that fits best, such as "along the normal, on the robot".
+    `rms`: RMS of recorded minus expected force in this reading, N.
+    `size`: RMS of the expected force, N.
+    `usual`: RMS of the difference if the force is read by this simulator's convention, along the normal and on the
+        robot, N.
+    `explained`: share of the joint torque, beyond that of motion and drives, that a force at the tip explains.
+    `reasons`: explanations of the remaining difference: bias, gain, delay.
+    `cutoff`: of the filters, Hz.
     """
 
     what: str

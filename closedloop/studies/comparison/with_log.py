@@ -94,16 +94,10 @@ def _best_shift(clock: Array, logged: Array, time: Array, simulated: Array) -> f
 class Difference:
     """A quantity of a log beside the same of the run.
 
-    Attributes
-    ----------
-    name, unit : str
-    labels : tuple of str
-        Of its columns.
-    time : (N,) array
-        s, of the run.
-    logged, simulated : (N, k) array
-    reasons : list of Reason
-        What explains the difference.
+    `labels`: of its columns.
+    `time` (N,): s, of the run.
+    `logged`, `simulated` (N, k).
+    `reasons`: what explains the difference.
     """
 
     name: str
@@ -129,23 +123,14 @@ class Difference:
 class LogComparison:
     """The result of a comparison with a log.
 
-    Attributes
-    ----------
-    run : Run
-        Of the scenario.
-    shift : float
-        The instant t of the run is t + `shift` of the log, counted from the log's first row, s.
-    shift_from : str
-        From which quantity the shift was found: "q", "force", "speed", "the clock of both runs", or "" where
+    `run`: of the scenario.
+    `shift`: the instant t of the run is t + `shift` of the log, counted from the log's first row, s.
+    `shift_from`: from which quantity the shift was found: "q", "force", "speed", "the clock of both runs", or "" where
         nothing moves and the shift is 0.
-    overlap : float
-        Length of time that both cover, s.
-    differences : dict of str to Difference
-        "q", "torque", "force" and "speed", those that the log has.
-    audit : Audit or None
-        Audit of the log's force; None without torque, force or surface.
-    notes : list of str
-        Quantities that could not be compared, and why.
+    `overlap`: length of time that both cover, s.
+    `differences`: "q", "torque", "force" and "speed", those that the log has.
+    `audit`: audit of the log's force; None without torque, force or surface.
+    `notes`: quantities that could not be compared, and why.
     """
 
     run: Run

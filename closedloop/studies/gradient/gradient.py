@@ -48,24 +48,15 @@ class Gradient:
     An entry is a number if both the quantity and the key are numbers; else an array, whose first indices are those of
     the quantity, and whose last are those of the key.
 
-    Attributes
-    ----------
-    value : dict of str to float or array
-        The quantities.
-    units : dict of str to str
-        Their units.
-    derivative : dict of str to dict of str to float or array
-        ``derivative[of][key]``, in the quantity's unit over the key's; NaN where there is no derivative; `problems`
-        gives the reason.
-    error : dict of str to dict of str to float or array
-        Estimates of their errors.
-    method : dict of str to dict of str to str
-        How each was found.
-    one_sided : dict of str to dict of str to pair
-        Where there is no derivative, the one-sided derivatives below and above; NaN on a side without one. Empty
-        elsewhere.
-    problems : tuple of str
-        The quantities that have no derivative, or an uncertain one, and the reason.
+    `value`: the quantities.
+    `units`: their units.
+    `derivative`: ``derivative[of][key]``, in the quantity's unit over the key's; NaN where there is no derivative;
+        `problems` gives the reason.
+    `error`: estimates of their errors.
+    `method`: how each was found.
+    `one_sided`: where there is no derivative, the one-sided derivatives below and above; NaN on a side without one.
+        Empty elsewhere.
+    `problems`: the quantities that have no derivative, or an uncertain one, and the reason.
     """
 
     value: dict[str, Entry]
@@ -314,10 +305,7 @@ def gradients(
 class Sensitivities(Gradient):
     """Columns of a run and their derivatives; the first index of every array is the row.
 
-    Attributes
-    ----------
-    time : (N,) array
-        Instants of the rows, s.
+    `time` (N,): instants of the rows, s.
     """
 
     time: Array

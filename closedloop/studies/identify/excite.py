@@ -48,23 +48,13 @@ UNTOLD = 1e-12
 class Excitation:
     """A motion, and how accurately a log of it would identify the parameters.
 
-    Attributes
-    ----------
-    robot : RobotModel
-    time : (N,)
-        s.
-    q, v, a : (N, n)
-        Positions, rad (m), velocities and accelerations; at rest at both ends.
-    names, units : tuple of str
-        Of the base parameters.
-    half : (b,)
-        Expected half of the 95 % interval of each; infinite if the motion does not identify it.
-    target : tuple of str
-        Parameters for which the motion is designed.
-    drawn : (b,)
-        The same as `half`, for the median of random motions within the same limits.
-    condition : float
-        Of the regressor with columns of length one.
+    `time` (N,): s.
+    `q`, `v`, `a` (N, n): positions, rad (m), velocities and accelerations; at rest at both ends.
+    `names`, `units`: of the base parameters.
+    `half` (b,): expected half of the 95 % interval of each; infinite if the motion does not identify it.
+    `target`: parameters for which the motion is designed.
+    `drawn` (b,): the same as `half`, for the median of random motions within the same limits.
+    `condition`: of the regressor with columns of length one.
     """
 
     robot: RobotModel

@@ -52,15 +52,9 @@ PIECES = 10
 class Estimate(NamedTuple):
     """One base parameter.
 
-    Attributes
-    ----------
-    name : str
-        Its first parameter; `grouping` has all parameters that it combines.
-    value, low, high : float
-        The value and its interval; NaN, −∞ and ∞ if it is not identifiable from the log.
-    unit, grouping : str
-    why : str
-        Why it is not identifiable from this log, and which motion would identify it; "" if it is identifiable.
+    `name`: its first parameter; `grouping` has all parameters that it combines.
+    `value`, `low`, `high`: the value and its interval; NaN, −∞ and ∞ if it is not identifiable from the log.
+    `why`: why it is not identifiable from this log, and which motion would identify it; "" if it is identifiable.
     """
 
     name: str
@@ -81,24 +75,15 @@ class Estimate(NamedTuple):
 class Identification:
     """Parameters of a robot that a log identifies.
 
-    Attributes
-    ----------
-    robot : RobotModel
-    regressor, base, solution, motion : Regressor, BaseParameters, Fit, Motion
-        The parts of the computation.
-    measured, predicted : (R, n)
-        Torques of all windows, N m, at `time` (R,), s; prediction by the parameters of the whole log.
-    used : (R, n) bool
-        Torques that count: where friction has one sure sign.
-    tested : (R,) bool
-        Windows that were held out when `held_out` was computed; none if another log was used.
-    held_out : (n,)
-        RMS of the error over RMS of the torque in the windows that were held out, where torques count. NaN without such
-        windows.
-    noise_bias : (b,)
-        Least squares minus instrumental variables; NaN with "ls".
-    confidence : float
-        Of the intervals, 0.95.
+    `regressor`, `base`, `solution`, `motion`: the parts of the computation.
+    `measured`, `predicted` (R, n): torques of all windows, N m, at `time` (R,), s; prediction by the parameters of the
+        whole log.
+    `used` (R, n): torques that count: where friction has one sure sign.
+    `tested` (R,): windows that were held out when `held_out` was computed; none if another log was used.
+    `held_out` (n,): RMS of the error over RMS of the torque in the windows that were held out, where torques count. NaN
+        without such windows.
+    `noise_bias` (b,): least squares minus instrumental variables; NaN with "ls".
+    `confidence`: of the intervals, 0.95.
     """
 
     robot: RobotModel
@@ -142,10 +127,7 @@ class Identification:
     def joints(self, kind: str) -> tuple[Estimate, ...]:
         """Return the estimates of a kind, "viscous", "dry", "offset", "drive_inertia" or "Izz", joint by joint.
 
-        Raises
-        ------
-        ModelError
-            If the joints have no such parameters.
+        Raises ModelError if the joints have no such parameters.
         """
         if kind not in self.regressor.kinds:
             raise ModelError(f"joints({kind!r}): a kind of parameter must be one of {', '.join(self.regressor.kinds)}")

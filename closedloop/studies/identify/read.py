@@ -188,24 +188,14 @@ def read_log(
 ) -> Log:
     """Read a log of a robot.
 
-    Parameters
-    ----------
-    path : str or Path
-        .csv, .parquet, or .nc: a run of this simulator, or variables over the first dimension, (N,) or (N, n); .mcap,
-        .db3 or a folder of rosbag2.
-    columns : mapping, optional
-        Of "time", "q", "v", "torque" to a name with {} for the joint, its name or its number, from 1 or 0:
-        ``{"torque": "effort_{}"}``; or to the names of all columns, in the robot's order, with commas between.
-        The usual names are found by themselves.
-    degrees : bool
-        Whether angles are in degrees, and velocities in degrees/s.
-    gain : float or (n,)
-        What torques are multiplied by: N m/A of currents.
-
-    Raises
-    ------
-    LogError
-        If the file cannot be read, or columns are missing.
+    `path`: .csv, .parquet, or .nc: a run of this simulator, or variables over the first dimension, (N,) or (N, n);
+        .mcap, .db3 or a folder of rosbag2.
+    `columns`: of "time", "q", "v", "torque" to a name with {} for the joint, its name or its number, from 1 or 0:
+        ``{"torque": "effort_{}"}``; or to the names of all columns, in the robot's order, with commas between. The
+        usual names are found by themselves.
+    `degrees`: whether angles are in degrees, and velocities in degrees/s.
+    `gain`, float or (n,): what torques are multiplied by: N m/A of currents.
+    Raises LogError if the file cannot be read, or columns are missing.
     """
     path, given, factors = Path(path), dict(columns or {}), factors_of(gain)
     if unknown := set(given) - set(NAMES):

@@ -33,32 +33,18 @@ if TYPE_CHECKING:
 class Tuning:
     """The outcome of a tuning.
 
-    Attributes
-    ----------
-    scenario : Scenario
-        With the numbers found.
-    before : Scenario
-        As it was.
-    vary : list of Varied
-        What varied, with ranges.
-    numbers : list of float
-        The number found for each.
-    minimised : mapping of str to float
-        Values and their weights.
-    limits : list of Limit
-    variations : list of dict
-    robust : str
-        "worst" or "mean".
-    value, value_before : float
-        The minimised value, now and before the tuning; NaN if the run stops early.
-    values, values_before : dict of str to (V,) array
-        Each value under each variation.
-    found : Found
-        The outcome of the search, with its multipliers.
-    sensitivity : dict of str to (float, float)
-        By how much the value changes if a number is moved down and up by a tenth of its range; NaN beyond its end.
-    runs : int
-        Number of runs.
+    `scenario`: with the numbers found.
+    `before`: as it was.
+    `vary`: what varied, with ranges.
+    `numbers`: the number found for each.
+    `minimised`: values and their weights.
+    `robust`: "worst" or "mean".
+    `value`, `value_before`: the minimised value, now and before the tuning; NaN if the run stops early.
+    `values`, `values_before`: each value under each variation.
+    `found`: the outcome of the search, with its multipliers.
+    `sensitivity`: by how much the value changes if a number is moved down and up by a tenth of its range; NaN beyond
+        its end.
+    `runs`: number of runs.
     """
 
     scenario: Scenario

@@ -213,15 +213,9 @@ def restitution_of(time: Array, height: Array, confidence: float) -> Part:
 class ContactIdentification:
     """Parameters of a contact that a log identifies.
 
-    Attributes
-    ----------
-    parts : tuple of Part
-        Of the sensor, friction, surface and restitution: estimates, what the law misses, measured and predicted.
-    source : str
-    closed, free : float
-        Shares of the rows in which the tip certainly touches, and certainly does not.
-    confidence : float
-        Of the intervals.
+    `parts`: of the sensor, friction, surface and restitution: estimates, what the law misses, measured and predicted.
+    `closed`, `free`: shares of the rows in which the tip certainly touches, and certainly does not.
+    `confidence`: of the intervals.
     """
 
     parts: tuple[Part, ...]

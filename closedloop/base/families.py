@@ -246,13 +246,11 @@ class Family(Mapping[str, type[M]], Generic[M]):
         return [name for name in self._files if name in self]
 
     def __contains__(self, name: object) -> bool:
-        """Whether there is a member with this name."""
         if not isinstance(name, str) or (":" not in name and name not in self._files):
             return False
         return name in self._shipped or self.get(name) is not None
 
     def __len__(self) -> int:
-        """Return how many there are."""
         return sum(1 for _ in self)
 
     def __hash__(self) -> int:
@@ -260,7 +258,6 @@ class Family(Mapping[str, type[M]], Generic[M]):
         return id(self)
 
     def __eq__(self, other: object) -> bool:
-        """Whether it is this very family."""
         return self is other
 
     def named(self, value: Any, key: str) -> Any:
@@ -361,7 +358,6 @@ class OneOf:
         return next((family[name] for family in self.families if name in family), None)
 
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
-        """Validate a name."""
         return core_schema.with_info_plain_validator_function(self._validate)
 
     def _validate(self, value: Any, info: ValidationInfo) -> str:

@@ -130,7 +130,6 @@ def _lock(scenario: Scenario) -> str:
 
 
 def _path(scenario: Scenario) -> str:
-    """Return the keys of the path."""
     path = scenario.reference.model_dump()
     if path["kind"] == "hold":
         return 'kind = "hold"  # the tip stays where it is: it moves along one line only\n'
@@ -160,7 +159,6 @@ def _what(scenario: Scenario, robot: Robot) -> str:
 
 
 def _quoted(text: str) -> str:
-    """Return a text as TOML spells it."""
     import tomli_w
 
     return tomli_w.dumps({"x": text}).partition("=")[2].strip()

@@ -75,7 +75,6 @@ class _Tell(argparse.Action):
         self, parser: argparse.ArgumentParser, namespace: argparse.Namespace, values: str | Sequence[Any] | None,
         option_string: str | None = None,
     ) -> None:  # fmt: skip
-        """See `argparse.Action`."""
         if values is None:
             parser.print_help()
         else:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.base.arrays import Array
+from closedloop.figures import style
 from closedloop.figures.force import FLAT, draw_forces, draw_measured, link_contacts
 from closedloop.figures.motion import (
     AT_REST,
@@ -19,24 +20,6 @@ from closedloop.figures.motion import (
     has_bodies,
     rests,
     tip_errors,
-)
-from closedloop.figures.style import (
-    COLOURS,
-    dress,
-    explain_contact,
-    finished,
-    legend_beside_title,
-    legend_outside,
-    length_text,
-    length_unit,
-    mark_rounding,
-    new_figure,
-    no_upper_labels,
-    panels,
-    position_rounding,
-    styled,
-    tip_is_idle,
-    widen,
 )
 from closedloop.mechanics.closure.contact_force import FREE
 from closedloop.record.run import Run
@@ -65,10 +48,10 @@ def closure_error(run: Run, ax: Axes | Sequence[Axes] | None = None) -> Figure:
     soft = run.scenario.compliance.kind != "none"
     what = "Position of the tip relative to the soft surface; e < 0: inside" if soft else f"Closure error, {how}"
     both = bool(np.any(touching) and not np.all(touching))
-    figure, drawn = panels(2 if both else 1, 4.8 if both else 3.4, ax)
+    figure, drawn = style.panels(2 if both else 1, 4.8 if both else 3.4, ax)
     if np.all(touching):
         unit = _draw(drawn[0], run, run.closure_error)
-        dress(
+        style.dress(
             drawn[0],
             run,
             what if soft or run.scenario.surface.kind != "plane" else f"Closure error e = n·r − d, {how}",
@@ -76,20 +59,20 @@ def closure_error(run: Run, ax: Axes | Sequence[Axes] | None = None) -> Figure:
         )
     else:
         unit = _draw(drawn[0], run, run.closure_error)
-        dress(drawn[0], run, "Gap e", f"e [{unit}]", show_events=not both)
+        style.dress(drawn[0], run, "Gap e", f"e [{unit}]", show_events=not both)
     if both:
         unit = _draw(drawn[1], run, np.where(touching, run.closure_error, np.nan))
-        dress(drawn[1], run, f"In contact: {what[0].lower()}{what[1:]}", f"e [{unit}]", label_marks=False)
-    return finished(figure, drawn, run)
+        style.dress(drawn[1], run, f"In contact: {what[0].lower()}{what[1:]}", f"e [{unit}]", label_marks=False)
+    return style.finished(figure, drawn, run)
 
 
 def _draw(axes: Axes, run: Run, error: NDArray[np.float64]) -> str:
     """Draw an error, m, which is NaN where there is none, and return the unit in which it is drawn."""
     axes.margins(y=0.15)
     size = float(np.nanmax(np.abs(error), initial=0.0))
-    factor, unit = length_unit(size) if size > 0.0 else (1.0, "m")
-    axes.plot(run.time, factor * error, color=COLOURS[1])
-    mark_rounding(axes, size, position_rounding(run), factor)
+    factor, unit = style.length_unit(size) if size > 0.0 else (1.0, "m")
+    axes.plot(run.time, factor * error, color=style.COLOURS[1])
+    style.mark_rounding(axes, size, style.position_rounding(run), factor)
     return unit
 
 
@@ -122,7 +105,7 @@ def plot(run: Run, ax: Axes | Sequence[Axes] | None = None) -> Figure:
     """
     if len(run) == 0:
         raise ValueError(f"the run of {run.scenario.name} has no row to draw")
-    with styled():
+    with style.styled():
         if not shows_bodies(run):
             return force_control(run, ax)
         return link_contacts(run, ax) if run.scenario.contact and rests(run) else bodies(run, ax)
@@ -147,7 +130,7 @@ def force_control(run: Run, ax: Axes | Sequence[Axes] | None = None) -> Figure:
     path = not over_time or max(float(np.ptp(each)) for each in (*seen.T, *wanted.T)) > AT_REST
     heights = [*[1.0] * len(over_time), *([1.9 if wide else 0.8] if path else [])]
     if ax is None:
-        figure = new_figure(height=(7.6 if wide else 6.2) + 1.7 * (len(over_time) + path - 3))
+        figure = style.new_figure(height=(7.6 if wide else 6.2) + 1.7 * (len(over_time) + path - 3))
         grid = figure.add_gridspec(len(heights), 1, height_ratios=heights)
         on: list[Axes] = []
         for row in range(len(heights)):  # the path has another axis than time
@@ -155,19 +138,19 @@ def force_control(run: Run, ax: Axes | Sequence[Axes] | None = None) -> Figure:
         for axes in on[: len(over_time) - 1]:
             axes.tick_params(labelbottom=False)
     else:
-        figure, on = panels(len(heights), 6.2, ax)
+        figure, on = style.panels(len(heights), 6.2, ax)
     for axes, draw in zip(on, over_time, strict=False):
         draw(axes, run)
-    no_upper_labels(figure, on[: len(over_time)])
+    style.no_upper_labels(figure, on[: len(over_time)])
     if path:
         _draw_path(on[-1], run, seen, wanted, wide)
-    explain_contact(figure, run)
+    style.explain_contact(figure, run)
     return figure
 
 
 def shows_bodies(run: Run) -> bool:
     """Tell whether a run is about its free bodies: the tip touches nothing, and nothing leads it."""
-    return has_bodies(run) and tip_is_idle(run) and not is_led(run)
+    return has_bodies(run) and style.tip_is_idle(run) and not is_led(run)
 
 
 def is_led(run: Run) -> bool:
@@ -178,7 +161,7 @@ def is_led(run: Run) -> bool:
 def _draw_force_error(axes: Axes, run: Run) -> None:
     error = force_error(run, run.contact_force)
     draw_measured(axes, run, force_error(run, run.measured_force))
-    axes.plot(run.time, error, color=COLOURS[0], label="true")
+    axes.plot(run.time, error, color=style.COLOURS[0], label="true")
     axes.axhline(0.0, color="0.3", linestyle=":", linewidth=1)
     axes.margins(y=0.12)
     touching = error[np.isfinite(error)]
@@ -187,40 +170,40 @@ def _draw_force_error(axes: Axes, run: Run) -> None:
         axes.set_ylim(min(middle, 0.0) - 0.01, max(middle, 0.0) + 0.01)  # a constant error is drawn flat
     rms = float(np.sqrt(np.mean(touching**2))) if touching.size else 0.0
     told = f"Force error in contact, {rms:.2g} N RMS" if touching.size else "The tip is never in contact"
-    dress(axes, run, told, "f − f_des [N]", show_events=False)
+    style.dress(axes, run, told, "f − f_des [N]", show_events=False)
     if len(axes.get_legend_handles_labels()[0]) > 1:
-        legend_beside_title(axes)
+        style.legend_beside_title(axes)
 
 
 def _draw_mobility(axes: Axes, run: Run) -> None:
-    axes.plot(run.time, np.where(run.mode == FREE, np.nan, 100.0 * run.normal_mobility), color=COLOURS[1])
+    axes.plot(run.time, np.where(run.mode == FREE, np.nan, 100.0 * run.normal_mobility), color=style.COLOURS[1])
     axes.margins(y=0.12)
     title = "Mobility of the tip along the normal: at 0 it cannot move there"
-    dress(axes, run, title, "share of all [%]", label_marks=False, show_events=False)
+    style.dress(axes, run, title, "share of all [%]", label_marks=False, show_events=False)
 
 
 def _draw_link_forces(axes: Axes, run: Run) -> None:
     draw_forces(axes, run)
     handles, figure = axes.get_legend_handles_labels()[0], axes.get_figure(root=True)
     assert figure is not None
-    legend_outside(figure, "upper center", handles, 4, axes=axes)
+    style.legend_outside(figure, "upper center", handles, 4, axes=axes)
 
 
 def _draw_tip_errors(axes: Axes, run: Run) -> None:
     errors = tip_errors(run)
     largest = max(float(np.max(np.abs(each), initial=0.0)) for each in errors)
-    factor, unit = length_unit(largest) if largest > 0.0 else (1.0, "m")
-    rounding = position_rounding(run)
+    factor, unit = style.length_unit(largest) if largest > 0.0 else (1.0, "m")
+    rounding = style.position_rounding(run)
     moves = np.any(np.ptp(directions(run), axis=0)) or np.any(np.ptp(run.reference_tip, axis=0))
     names = ("along the path", "across", "normal") if moves else ("t1", "t2", "normal")
     for k in np.argsort([-float(np.max(np.abs(each))) for each in errors]):  # the largest is at the back
         size = float(np.max(np.abs(errors[k])))
-        told = f"{names[k]} ≤ {length_text(size)}" if size > max(rounding, ROUNDING) else f"{names[k]} ≈ 0"
-        axes.plot(run.time, factor * errors[k], color=COLOURS[k], label=told)
+        told = f"{names[k]} ≤ {style.length_text(size)}" if size > max(rounding, ROUNDING) else f"{names[k]} ≈ 0"
+        axes.plot(run.time, factor * errors[k], color=style.COLOURS[k], label=told)
     axes.margins(y=0.12)
-    mark_rounding(axes, largest, rounding, factor)
-    dress(axes, run, "Tip error", f"r − r_des [{unit}]", label_marks=False)
-    legend_beside_title(axes)
+    style.mark_rounding(axes, largest, rounding, factor)
+    style.dress(axes, run, "Tip error", f"r − r_des [{unit}]", label_marks=False)
+    style.legend_beside_title(axes)
 
 
 def _seen_from_above(run: Run) -> tuple[Array, Array]:
@@ -242,7 +225,7 @@ def _draw_path(axes: Axes, run: Run, seen: Array, wanted: Array, wide: bool) -> 
     from matplotlib.collections import LineCollection
 
     length = max(float(np.ptp(seen[:, 0])), 1e-6)
-    across, unit = (1e3, "mm") if wide else length_unit(max(float(np.max(np.abs(seen[:, 1]))), THIN * length))
+    across, unit = (1e3, "mm") if wide else style.length_unit(max(float(np.max(np.abs(seen[:, 1]))), THIN * length))
     rows = np.unique(np.linspace(0, len(run) - 1, min(len(run), MOST_PIECES)).astype(int))
     x, y = 1e3 * seen[rows, 0], across * seen[rows, 1]
     if is_led(run):
@@ -274,8 +257,8 @@ def _draw_path(axes: Axes, run: Run, seen: Array, wanted: Array, wide: bool) -> 
         axes.set_aspect("equal", adjustable="datalim")
     else:
         axes.margins(y=0.3)
-        widen(axes, 2.0 * across * THIN * length)
-    legend_beside_title(axes)
+        style.widen(axes, 2.0 * across * THIN * length)
+    style.legend_beside_title(axes)
 
 
 def _from(normal: Array) -> str:

@@ -49,7 +49,6 @@ def html(run: Run) -> str:
 
 
 def _said(of: str, verdict: dict[str, Any]) -> str:
-    """Return a verdict in a line."""
     said = "good" if verdict["good"] else "BAD: " + "; ".join(each["text"] for each in verdict["problems"])
     return f"{of}: {said}{unknown_text(verdict.get('not_known', ()))}"
 

@@ -13,25 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.base.arrays import Array
+from closedloop.figures import style
 from closedloop.figures.motion import directions, sideways
-from closedloop.figures.style import (
-    COLOURS,
-    FORCE_STEPS,
-    MANY,
-    MOST_CURVES,
-    WIDE,
-    dress,
-    explain_contact,
-    finished,
-    legend_beside_title,
-    legend_outside,
-    marks,
-    new_figure,
-    no_upper_labels,
-    page_width,
-    panels,
-    widen,
-)
 from closedloop.loop.events.table import IMPACT, TOUCHDOWN
 from closedloop.mechanics.closure.contact_force import FREE, STUCK
 from closedloop.mechanics.contacts.friction import coulomb_of, has_other_law
@@ -83,10 +66,10 @@ def impacts(run: Run, ax: Axes | Sequence[Axes] | None = None) -> Figure:
         raise ValueError("the run has no impact to draw")
     hit = hits(run)
     time, cut, lost = run.event_time[hit], run.event_rate_cut[hit], run.event_energy_lost[hit]
-    figure, (above, middle, below) = panels(3, 6.2, ax)
+    figure, (above, middle, below) = style.panels(3, 6.2, ax)
     rates = [
-        _Series(-run.event_rate_before[hit], "before", "o", COLOURS[0]),
-        _Series(run.event_rate_after[hit], "after", "^", COLOURS[1]),
+        _Series(-run.event_rate_before[hit], "before", "o", style.COLOURS[0]),
+        _Series(run.event_rate_after[hit], "after", "^", style.COLOURS[1]),
         _Series(cut, "cut to rest", "x", "0.25"),
     ]
     rest = run.scenario.impact.rest_speed
@@ -99,18 +82,18 @@ def impacts(run: Run, ax: Axes | Sequence[Axes] | None = None) -> Figure:
         )  # fmt: skip
     above.set(title=f"Closure rate at impacts ({run.model.name})", ylabel="|ė| [m/s]")
     impulses = [
-        _Series(run.event_compression[hit], "compression", "o", COLOURS[0]),
-        _Series(run.event_decompression[hit], "decompression", "^", COLOURS[1]),
-        _Series(np.linalg.norm(run.event_tangential[hit], axis=1), "tangential", "x", COLOURS[2]),
+        _Series(run.event_compression[hit], "compression", "o", style.COLOURS[0]),
+        _Series(run.event_decompression[hit], "decompression", "^", style.COLOURS[1]),
+        _Series(np.linalg.norm(run.event_tangential[hit], axis=1), "tangential", "x", style.COLOURS[2]),
     ]
     _draw(middle, time, impulses)
     middle.set(title="Impulse" if np.any(run.event_contact[hit] > 0) else "Impulse on the tip", ylabel="impulse [N s]")
-    _draw(below, time, [_Series(lost, "", "o", COLOURS[0])])
+    _draw(below, time, [_Series(lost, "", "o", style.COLOURS[0])])
     below.set(title=f"Kinetic energy lost, {np.sum(lost):.3g} J in total", ylabel="energy [J]")
     margin = max(0.04 * float(np.ptp(time)), 2.0 * run.scenario.time.step)
     for axes in (above, middle, below):
         axes.set(xlim=(float(time[0]) - margin, float(time[-1]) + margin), xlabel="time [s]")
-    no_upper_labels(figure, (above, middle, below))
+    style.no_upper_labels(figure, (above, middle, below))
     return figure
 
 
@@ -135,7 +118,7 @@ def _draw(axes: Axes, time: Array, series: list[_Series], beside: float | None =
     else:
         axes.set_ylim(0.0, 1.2 * high)
     if any(each.label for each in shown):
-        legend_beside_title(axes)
+        style.legend_beside_title(axes)
 
 
 # A force that varies by less than this share of itself, or of 1 N, is drawn flat and never enlarged.
@@ -157,27 +140,27 @@ def contact_force(run: Run, ax: Axes | Sequence[Axes] | None = None) -> Figure:
     the force, and have an axis of their own; see `impacts`. For `ax` see `closedloop.figures`.
     """
     # A narrow page has room for fewer panels beside one another.
-    moments = transients(run, math.ceil(MOST_PANELS * min(1.0, page_width() / WIDE)))
+    moments = transients(run, math.ceil(MOST_PANELS * min(1.0, style.page_width() / style.WIDE)))
     if ax is None:
-        figure = new_figure(height=5.0 if moments else 3.4)
+        figure = style.new_figure(height=5.0 if moments else 3.4)
         rows = 2 if moments else 1
         grid = figure.add_gridspec(rows, max(1, len(moments)), height_ratios=[1.3, 1][:rows])
         whole = figure.add_subplot(grid[0, :])
         near = [figure.add_subplot(grid[1, k]) for k in range(len(moments))]
     else:
-        figure, (whole, *near) = panels(1 + len(moments), 5.0, ax)
+        figure, (whole, *near) = style.panels(1 + len(moments), 5.0, ax)
     draw_measured(whole, run, run.measured_force)
     _draw_force(whole, run, slice(None))
-    dress(whole, run, "Contact force", "f [N]")
-    legend_beside_title(whole)
+    style.dress(whole, run, "Contact force", "f [N]")
+    style.legend_beside_title(whole)
     _draw_impulses(whole, run)
-    narrow = len(moments) > 1 and (len(moments) == MOST_PANELS or page_width() < WIDE)
+    narrow = len(moments) > 1 and (len(moments) == MOST_PANELS or style.page_width() < style.WIDE)
     for k, (axes, (text, shown)) in enumerate(zip(near, moments, strict=True)):
         _draw_force(axes, run, shown, marker=".", markersize=2.5)
-        dress(axes, run, text, "f [N]" if k == 0 or not narrow else "", label_marks=False, rows=shown)
+        style.dress(axes, run, text, "f [N]" if k == 0 or not narrow else "", label_marks=False, rows=shown)
         if narrow or (len(moments) > 1 and run.time[-1] >= 10.0):
             axes.locator_params(axis="x", nbins=4)  # room for the numbers
-    explain_contact(figure, run)
+    style.explain_contact(figure, run)
     return figure
 
 
@@ -194,15 +177,15 @@ def _draw_impulses(axes: Axes, run: Run) -> None:
         return
     beside: Any = axes.twinx()
     time, impulse = run.event_time[hit], (run.event_compression + run.event_decompression)[hit]
-    beside.vlines(time, 0.0, impulse, color=COLOURS[1], linewidth=1.0)
-    beside.plot(time, impulse, ".", color=COLOURS[1], markersize=4)
+    beside.vlines(time, 0.0, impulse, color=style.COLOURS[1], linewidth=1.0)
+    beside.plot(time, impulse, ".", color=style.COLOURS[1], markersize=4)
     low, high = axes.get_ylim()
     low, high = min(low, 0.0), max(high, 1e-9)
     axes.set_ylim(low, high)
     most = 1.25 * float(np.max(impulse))
     beside.set_ylim(most * low / high, most)
-    beside.set_ylabel("impulses at impacts [N s]", color=COLOURS[1])
-    beside.tick_params(axis="y", colors=COLOURS[1])
+    beside.set_ylabel("impulses at impacts [N s]", color=style.COLOURS[1])
+    beside.tick_params(axis="y", colors=style.COLOURS[1])
     beside.set_yticks([tick for tick in beside.get_yticks() if 0.0 <= tick <= most])
     beside.grid(visible=False)
     beside.spines["right"].set_visible(True)
@@ -214,8 +197,8 @@ def transients(run: Run, most: int = MOST_PANELS) -> list[tuple[str, slice]]:
     # Where the motion changes, what counts is by how much the force leaves the commanded one.
     away = run.contact_force - run.reference_force
     wanted = [
-        (t, text, short, long, run.contact_force if text == FORCE_STEPS else away)
-        for t, text in marks(run)
+        (t, text, short, long, run.contact_force if text == style.FORCE_STEPS else away)
+        for t, text in style.marks(run)
         if run.time[0] < t < run.time[-1]
     ]
     for event in run.events:
@@ -292,9 +275,9 @@ def _flat(force: NDArray[np.float64]) -> float:
     return FLAT * max(abs(float(np.mean(force))), 1.0) if force.size else 0.0
 
 
-def _draw_force(axes: Axes, run: Run, rows: slice, **style: Any) -> None:
+def _draw_force(axes: Axes, run: Run, rows: slice, **look: Any) -> None:
     force = run.contact_force[rows]
-    axes.plot(run.time[rows], force, color=COLOURS[0], label="f", **style)
+    axes.plot(run.time[rows], force, color=style.COLOURS[0], label="f", **look)
     if run.law == "scenario":
         wanted = run.reference_force
         dotted: dict[str, Any] = {"color": "0.3", "linestyle": ":", "linewidth": 1}
@@ -354,7 +337,7 @@ def friction_force(run: Run, ax: Axes | Sequence[Axes] | None = None) -> Figure:
     along, force = directions(run), run.friction_force
     across = sideways(run, along)
     slip = np.where(run.mode != FREE, np.sum(run.slip_velocity * along, axis=1), np.nan)
-    figure, (above, below) = panels(2, 4.8, ax)
+    figure, (above, below) = style.panels(2, 4.8, ax)
     for (bound, name, stroke), (level, *_) in zip(
         friction_bounds(run), friction_levels(run.scenario.friction), strict=True
     ):
@@ -363,17 +346,17 @@ def friction_force(run: Run, ax: Axes | Sequence[Axes] | None = None) -> Figure:
             above.plot(
                 run.time, sign * bound, stroke, color="0.6", linewidth=1.8, label=label if sign > 0 else None
             )  # fmt: skip
-    above.plot(run.time, np.sum(force * along, axis=1), color=COLOURS[0], label="along the path")
+    above.plot(run.time, np.sum(force * along, axis=1), color=style.COLOURS[0], label="along the path")
     beside = np.sum(force * across, axis=1)
     if np.max(np.abs(beside)) > ASIDE * np.max(np.abs(force)):
-        above.plot(run.time, beside, color=COLOURS[2], linewidth=0.9, label="across")
+        above.plot(run.time, beside, color=style.COLOURS[2], linewidth=0.9, label="across")
     above.axhline(0.0, color="0.3", linestyle=":", linewidth=1)
-    dress(above, run, "Friction", "Fₜ [N]", show_events=False)
-    legend_beside_title(above)
-    below.plot(run.time, 1e3 * slip, color=COLOURS[1])
+    style.dress(above, run, "Friction", "Fₜ [N]", show_events=False)
+    style.legend_beside_title(above)
+    below.plot(run.time, 1e3 * slip, color=style.COLOURS[1])
     below.axhline(0.0, color="0.3", linestyle=":", linewidth=1)
-    dress(below, run, "Slip along the path", "velocity [mm/s]", label_marks=False)
-    return finished(figure, (above, below), run)
+    style.dress(below, run, "Slip along the path", "velocity [mm/s]", label_marks=False)
+    return style.finished(figure, (above, below), run)
 
 
 # What titles say where `contacts_drawn` takes points together.
@@ -397,20 +380,20 @@ def link_contacts(run: Run, ax: Axes | Sequence[Axes] | None = None) -> Figure:
         raise ValueError("the run has no [[contact]]")
     names, count = names_of(sections), len(sections)
     rows = 0.6 + ROW * min(count, MOST_ROWS)
-    figure, (times, above, below) = panels(3, 4.8 + rows, ax, [rows, 2.0, 2.0])
+    figure, (times, above, below) = style.panels(3, 4.8 + rows, ax, [rows, 2.0, 2.0])
     draw_closed(times, run, names)
     styles = draw_forces(above, run)
-    for drawn, style in styles:
-        below.plot(run.time, drawn.friction(run), **style)
+    for drawn, look in styles:
+        below.plot(run.time, drawn.friction(run), **look)
         if not any(has_other_law(sections[k]) for k in drawn.numbers):
             limit = sum(coulomb_of(sections[k]) * run.link_forces[:, k] for k in drawn.numbers)
-            below.plot(run.time, limit, "--", color=style["color"], linewidth=0.7)
-    widen(below, FLATTEST * max(abs(end) for end in below.get_ylim()))
-    dress(times, run, "Contacts of the links", "", label_marks=False, show_events=False)
-    dress(below, run, "Friction of the contacts; dashed: its limit μ f", "|friction| [N]", label_marks=False)
-    no_upper_labels(figure, (times, above, below))
-    legend_outside(figure, "upper center", above.get_legend_handles_labels()[0], 4, axes=above)
-    explain_contact(figure, run)
+            below.plot(run.time, limit, "--", color=look["color"], linewidth=0.7)
+    style.widen(below, FLATTEST * max(abs(end) for end in below.get_ylim()))
+    style.dress(times, run, "Contacts of the links", "", label_marks=False, show_events=False)
+    style.dress(below, run, "Friction of the contacts; dashed: its limit μ f", "|friction| [N]", label_marks=False)
+    style.no_upper_labels(figure, (times, above, below))
+    style.legend_outside(figure, "upper center", above.get_legend_handles_labels()[0], 4, axes=above)
+    style.explain_contact(figure, run)
     return figure
 
 
@@ -435,7 +418,7 @@ def contacts_drawn(run: Run) -> tuple[list[Drawn], str]:
     sections = run.scenario.contact or ()
     each, patches = [Drawn(name, [k]) for k, name in enumerate(names_of(sections))], patches_of(sections)
     pressed = np.any(run.link_forces > 0.0, axis=0)
-    if int(pressed.sum()) > MOST_CURVES and len(patches) < len(each):
+    if int(pressed.sum()) > style.MOST_CURVES and len(patches) < len(each):
         return [Drawn(*patch) for patch in patches.items()], SUMMED
     return each, ""
 
@@ -445,17 +428,20 @@ def draw_forces(axes: Axes, run: Run) -> list[tuple[Drawn, dict[str, Any]]]:
     each, summed = contacts_drawn(run)
     largest = sorted(range(len(each)), key=lambda k: -float(np.max(each[k].force(run))))
     pressed = [k for k in largest if np.any(each[k].force(run) > 0.0)] or largest[:1]
-    shown = sorted(pressed[:MOST_CURVES])
+    shown = sorted(pressed[: style.MOST_CURVES])
     # Contacts on either side are often equal: the first are drawn broader, so that they are seen behind the last.
     styles: list[tuple[Drawn, dict[str, Any]]] = [
-        (each[k], {"color": MANY[at % len(MANY)], "linewidth": 1.2 + WIDER * (len(shown) - 1 - at) / len(shown)})
+        (
+            each[k],
+            {"color": style.MANY[at % len(style.MANY)], "linewidth": 1.2 + WIDER * (len(shown) - 1 - at) / len(shown)},
+        )
         for at, k in enumerate(shown)
     ]
-    for drawn, style in styles:
-        axes.plot(run.time, drawn.force(run), label=drawn.name, **style)
-    widen(axes, FLATTEST * max(abs(end) for end in axes.get_ylim()))
+    for drawn, look in styles:
+        axes.plot(run.time, drawn.force(run), label=drawn.name, **look)
+    style.widen(axes, FLATTEST * max(abs(end) for end in axes.get_ylim()))
     those = f", the {len(shown)} largest of {len(pressed)}" if len(shown) < len(pressed) else ""
-    dress(axes, run, f"Contact forces{summed}{those}", "f [N]", show_events=False)
+    style.dress(axes, run, f"Contact forces{summed}{those}", "f [N]", show_events=False)
     return styles
 
 
@@ -470,7 +456,7 @@ def draw_closed(axes: Axes, run: Run, names: tuple[str, ...]) -> None:
     order = np.argsort(-closed.sum(axis=0), kind="stable")[:MOST_ROWS]
     rows = np.sort(order)
     for at, k in enumerate(rows):
-        for mode, colour in ((STUCK, COLOURS[0]), (None, MANY[5])):
+        for mode, colour in ((STUCK, style.COLOURS[0]), (None, style.MANY[5])):
             now = closed[:, k] & ((run.link_modes[:, k] == STUCK) == (mode == STUCK))
             spans = spans_of(now, run.time)
             if spans:
@@ -478,8 +464,8 @@ def draw_closed(axes: Axes, run: Run, names: tuple[str, ...]) -> None:
     axes.set_yticks(range(len(rows)), [names[k] for k in rows], fontsize="small")
     axes.set_ylim(len(rows) - 0.4, -0.6)
     axes.grid(axis="y", visible=False)
-    handles = [Patch(color=COLOURS[0], label="sticks or rolls"), Patch(color=MANY[5], label="slides")]
-    legend_beside_title(axes, handles)
+    handles = [Patch(color=style.COLOURS[0], label="sticks or rolls"), Patch(color=style.MANY[5], label="slides")]
+    style.legend_beside_title(axes, handles)
 
 
 def spans_of(now: NDArray[np.bool_], time: NDArray[np.float64]) -> list[tuple[float, float]]:

@@ -9,21 +9,7 @@ import numpy as np
 
 from closedloop.base.arrays import Array
 from closedloop.base.errors import ScenarioError
-from closedloop.figures.style import (
-    COLOURS,
-    MANY,
-    MOST_CURVES,
-    OTHERS,
-    STROKES,
-    contact_changes,
-    dress,
-    finished,
-    legend_beside_title,
-    legend_outside,
-    length_unit,
-    panels,
-    widen,
-)
+from closedloop.figures import style
 from closedloop.mechanics.surface.placed import contact_frame, unit
 from closedloop.record.columns.derived import DERIVED, WRENCH, DerivedColumn
 from closedloop.record.columns.record import SYMBOLS, Column
@@ -111,38 +97,38 @@ def tip_position(run: Run, ax: Axes | Sequence[Axes] | None = None) -> Figure:
     """
     moved = run.position - run.position[0]
     sizes = np.max(np.abs(moved), axis=0)
-    if length_unit(float(sizes.max()))[1] == "mm":
+    if style.length_unit(float(sizes.max()))[1] == "mm":
         small = [k for k in range(3) if ROUNDING < sizes[k] < SMALL * sizes.max()]
     else:
         small = [0, 1, 2]
-    slide = run.scenario.reference.kind == "line" and not contact_changes(run)
+    slide = run.scenario.reference.kind == "line" and not style.contact_changes(run)
     ratios = [2, 2, 1] if small else [1, 1]
-    figure, drawn = panels(len(ratios), 6.2 if small else 4.8, ax, ratios)
+    figure, drawn = style.panels(len(ratios), 6.2 if small else 4.8, ax, ratios)
     where, above = drawn[:2]
     for k, axis in enumerate("xyz"):
         name = f"{axis} from {round(run.position[0, k], 4) + 0.0:.4f} m"
-        where.plot(run.time, run.position[:, k], STROKES[k], color=COLOURS[k], label=axis)
-        above.plot(run.time, 1e3 * moved[:, k], STROKES[k], color=COLOURS[k], label=name)
+        where.plot(run.time, run.position[:, k], style.STROKES[k], color=style.COLOURS[k], label=axis)
+        above.plot(run.time, 1e3 * moved[:, k], style.STROKES[k], color=style.COLOURS[k], label=name)
     for axes in (where, above):
         axes.margins(y=0.15)
-    dress(where, run, "Tip, base frame", "position [m]", show_events=False)
-    legend_beside_title(where)
-    dress(above, run, "Displacement", "displacement [mm]", label_marks=False, show_events=not small)
-    legend_beside_title(above)
+    style.dress(where, run, "Tip, base frame", "position [m]", show_events=False)
+    style.legend_beside_title(where)
+    style.dress(above, run, "Displacement", "displacement [mm]", label_marks=False, show_events=not small)
+    style.legend_beside_title(above)
     if small:
         below = drawn[2]
-        factor, unit = length_unit(float(sizes[small].max()))
+        factor, unit = style.length_unit(float(sizes[small].max()))
         for k in small:
-            below.plot(run.time, factor * moved[:, k], STROKES[k], color=COLOURS[k], label="xyz"[k])
-        dress(
+            below.plot(run.time, factor * moved[:, k], style.STROKES[k], color=style.COLOURS[k], label="xyz"[k])
+        style.dress(
             below,
             run,
             "Displacement off the path" if slide else "Small components of the displacement",
             f"[{unit}]",
             label_marks=False,
         )
-        legend_beside_title(below)
-    return finished(figure, drawn, run)
+        style.legend_beside_title(below)
+    return style.finished(figure, drawn, run)
 
 
 # A moment that is less than this times the force, with an arm of a metre, is rounding.
@@ -164,24 +150,26 @@ def tool(run: Run, ax: Axes | Sequence[Axes] | None = None) -> Figure:
     parts = [("Force at the wrist", "N", 0), ("Moment", "N m", 3)]
     if moment < TURN_ROUNDING * max(1.0, force):
         parts.pop()
-    figure, drawn = panels(len(parts) + 1, 1.6 + 1.6 * (len(parts) + 1), ax)
+    figure, drawn = style.panels(len(parts) + 1, 1.6 + 1.6 * (len(parts) + 1), ax)
     for axes, (title, units, first) in zip(drawn, parts, strict=False):
         part = run.wrist_wrench[:, first : first + 3]
         for k in range(3):
-            axes.plot(run.time, part[:, k], color=MANY[k], label=WRENCH[first + k])
+            axes.plot(run.time, part[:, k], color=style.MANY[k], label=WRENCH[first + k])
         axes.margins(y=0.08)
         largest = float(np.max(np.linalg.norm(part, axis=1)))
         label = f"{title.split()[0].lower()} [{units}]"
-        dress(axes, run, f"{title}, up to {largest:.3g} {units}", label, label_marks=first == 0, show_events=False)
-        legend_beside_title(axes)
+        style.dress(
+            axes, run, f"{title}, up to {largest:.3g} {units}", label, label_marks=first == 0, show_events=False
+        )
+        style.legend_beside_title(axes)
     last = drawn[-1]
-    last.plot(run.time, run.tool_angle, color=MANY[0], label="from the normal")
-    last.plot(run.time, run.orientation_error, "--", color=MANY[1], label="from its reference")
+    last.plot(run.time, run.tool_angle, color=style.MANY[0], label="from the normal")
+    last.plot(run.time, run.orientation_error, "--", color=style.MANY[1], label="from its reference")
     last.margins(y=0.08)
     told = f"Angle of the tool, up to {float(np.max(run.tool_angle)):.3g} deg"
-    dress(last, run, told, "angle [deg]", label_marks=False)
-    legend_beside_title(last)
-    return finished(figure, drawn, run)
+    style.dress(last, run, told, "angle [deg]", label_marks=False)
+    style.legend_beside_title(last)
+    return style.finished(figure, drawn, run)
 
 
 # A limit is drawn if the axis need not be longer than this times the range of the data for it; it is named in any case.
@@ -212,7 +200,7 @@ def joints(run: Run, ax: Axes | Sequence[Axes] | None = None) -> Figure:
     `closedloop.figures`.
     """
     model = run.model
-    figure, on = panels(3, 6.4, ax)
+    figure, on = style.panels(3, 6.4, ax)
     drawn = (
         ("Torque Q", "torque", -model.effort_limit, model.effort_limit, "torque"),
         ("Velocity", "velocity", -model.velocity_limit, model.velocity_limit, "v"),
@@ -229,7 +217,7 @@ def joints(run: Run, ax: Axes | Sequence[Axes] | None = None) -> Figure:
         for j, joint in enumerate(names):
             named = joint in colours
             axes.plot(
-                run.time, values[:, j], color=colours.get(joint, OTHERS), label=joint if named else None,
+                run.time, values[:, j], color=colours.get(joint, style.OTHERS), label=joint if named else None,
                 zorder=2.0 if named else 1.5,
             )  # fmt: skip
         axes.margins(y=0.08)
@@ -239,9 +227,9 @@ def joints(run: Run, ax: Axes | Sequence[Axes] | None = None) -> Figure:
         each = [typeset(units_by_kind(run.specs[name].units, kinds[j])) for j in held]
         units = " | ".join(dict.fromkeys(each))
         told = f"{title}, {_told(values, low, high, names, each, positions=name == 'q')}"
-        dress(axes, run, told, f"{label} [{units}]", label_marks=axes is on[0], show_events=axes is on[-1])
+        style.dress(axes, run, told, f"{label} [{units}]", label_marks=axes is on[0], show_events=axes is on[-1])
     _name_joints(figure, on[0], int(sum(not free for free in in_bodies(model, positions=False))))
-    return finished(figure, on, run)
+    return style.finished(figure, on, run)
 
 
 def _position_limits(model: RobotModel) -> tuple[Array, Array]:
@@ -260,8 +248,8 @@ def _colours(run: Run, names: tuple[str, ...]) -> dict[str, str]:
     """Return the colour of each joint that is named: all of them, or those with a drive if they are too many."""
     model = run.model
     driven = [name for name, drive in zip(model.joint_names, model.driven, strict=True) if drive and name in names]
-    chosen = names if len(names) <= MOST_CURVES else (driven or list(names))[:MOST_CURVES]
-    return dict(zip(chosen, MANY, strict=False))
+    chosen = names if len(names) <= style.MOST_CURVES else (driven or list(names))[: style.MOST_CURVES]
+    return dict(zip(chosen, style.MANY, strict=False))
 
 
 def _draw_limits(axes: Axes, values: Array, low: Array, high: Array, colours: Sequence[str]) -> None:
@@ -298,7 +286,7 @@ def _told(values: Array, low: Array, high: Array, names: tuple[str, ...], units:
 def _name_joints(figure: Figure, axes: Axes, count: int) -> None:
     handles, names = axes.get_legend_handles_labels()
     others = "" if count == len(names) else f"; grey: {count - len(names)} others"
-    legend_outside(figure, "upper center", handles, 4, f"joints; limits dashed{others}", axes)
+    style.legend_outside(figure, "upper center", handles, 4, f"joints; limits dashed{others}", axes)
 
 
 # What moves across, or turns, by no more than this, m or rad, does not: it has no panel.
@@ -350,11 +338,11 @@ def bodies(run: Run, ax: Axes | Sequence[Axes] | None = None) -> Figure:
     if not motions:
         raise ValueError("the run has no free body")
     size = {name: float(np.max(np.abs(r - r[0]))) for name, (r, _) in motions.items()}
-    shown = sorted(sorted(motions, key=lambda name: -size[name])[:MOST_CURVES], key=list(motions).index)
+    shown = sorted(sorted(motions, key=lambda name: -size[name])[: style.MOST_CURVES], key=list(motions).index)
     across = {name: np.hypot(*(motions[name][0] - motions[name][0][0])[:, :2].T) for name in shown}
     angles = {name: turned(motions[name][1]) for name in shown}
     furthest, most = (max(float(np.max(each)) for each in values.values()) for values in (across, angles))
-    factor, unit = length_unit(furthest)
+    factor, unit = style.length_unit(furthest)
     drawn = []
     rise = max(float(np.ptp(motions[name][0][:, 2])) for name in shown)
     if rise > max(AT_REST, FLAT * furthest) or max(furthest, most) <= AT_REST:
@@ -368,18 +356,20 @@ def bodies(run: Run, ax: Axes | Sequence[Axes] | None = None) -> Figure:
         drawn.append(
             ({name: np.degrees(each) for name, each in angles.items()}, "Rotation from the start", "angle [°]")
         )
-    figure, on = panels(len(drawn), 1.6 + 1.6 * len(drawn), ax)
+    figure, on = style.panels(len(drawn), 1.6 + 1.6 * len(drawn), ax)
     those = f"the {len(shown)} of {len(motions)} bodies that move most" if len(shown) < len(motions) else ""
     for axes, (curves, title, label) in zip(on, drawn, strict=True):
         for k, name in enumerate(shown):
-            axes.plot(run.time, curves[name], color=MANY[k % len(MANY)], label=name)
+            axes.plot(run.time, curves[name], color=style.MANY[k % len(style.MANY)], label=name)
         axes.margins(y=0.12)
         if label == HEIGHT:
-            widen(axes, LEAST * 1e3 * max(furthest, *size.values()))
+            style.widen(axes, LEAST * 1e3 * max(furthest, *size.values()))
         first, last = axes is on[0], axes is on[-1]
-        dress(axes, run, f"{title}: {those}" if first and those else title, label, label_marks=first, show_events=last)
-    legend_outside(figure, "upper center", on[0].get_legend_handles_labels()[0], 4, axes=on[0])
-    return finished(figure, on, run)
+        style.dress(
+            axes, run, f"{title}: {those}" if first and those else title, label, label_marks=first, show_events=last
+        )
+    style.legend_outside(figure, "upper center", on[0].get_legend_handles_labels()[0], 4, axes=on[0])
+    return style.finished(figure, on, run)
 
 
 def columns(run: Run, names: Sequence[str], ax: Axes | Sequence[Axes] | None = None) -> Figure:
@@ -408,25 +398,25 @@ def columns(run: Run, names: Sequence[str], ax: Axes | Sequence[Axes] | None = N
             )
     if not names:
         raise ScenarioError("columns: name at least one, such as f")
-    figure, on = panels(len(names), 1.2 + 1.6 * len(names), ax)
+    figure, on = style.panels(len(names), 1.2 + 1.6 * len(names), ax)
     parts = part_labels(run.model.joint_names, run.model.coordinate_names, labels_of(run.scenario.contact or ()))
     for axes, name in zip(on, names, strict=True):
         column = SYMBOLS.get(name, name)
         values, units = np.asarray(run[column]).reshape(len(run), -1), run.units(column)
         if units == "m":
-            factor, units = length_unit(float(np.nanmax(np.abs(values), initial=0.0)) or 1.0)
+            factor, units = style.length_unit(float(np.nanmax(np.abs(values), initial=0.0)) or 1.0)
             values = factor * values
         dims = known[column].dims
         labels = parts.get(dims[1], tuple(map(str, range(1, values.shape[1] + 1)))) if len(dims) > 1 else (None,)
         for k, label in enumerate(labels):
-            stroke = STROKES[k // len(MANY) % len(STROKES)]
-            axes.plot(run.time, values[:, k], stroke, color=MANY[k % len(MANY)], label=label)
+            stroke = style.STROKES[k // len(style.MANY) % len(style.STROKES)]
+            axes.plot(run.time, values[:, k], stroke, color=style.MANY[k % len(style.MANY)], label=label)
         axes.margins(y=0.1)
         unit = typeset(units) if units not in ("", "1") else ""
         text = name if name in SYMBOLS else name.replace("_", " ")
-        dress(
+        style.dress(
             axes, run, "", f"{text} [{unit}]" if unit else text, label_marks=False, show_events=axes is on[-1],
         )  # fmt: skip
         if len(labels) > 1:
-            legend_beside_title(axes)
-    return finished(figure, on, run)
+            style.legend_beside_title(axes)
+    return style.finished(figure, on, run)

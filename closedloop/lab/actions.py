@@ -129,7 +129,6 @@ def _choose(lab: Lab, client: Client, said: Said) -> None:
 
 
 def _map(lab: Lab, client: Client, said: Said) -> None:
-    """Compute a map, or stop."""
     if said["do"] == "stop map":
         lab.map.stop()
     else:
@@ -137,7 +136,6 @@ def _map(lab: Lab, client: Client, said: Said) -> None:
 
 
 def _point(lab: Lab, client: Client, said: Said) -> None:
-    """Go to a place of the map."""
     lab.map.go(_number(said.get("u"), 0.5), _number(said.get("v"), 0.5), bool(said.get("last")))
 
 
@@ -175,7 +173,6 @@ def _rounded(vector: Any) -> list[float]:
 
 
 def _analyse(lab: Lab, client: Client, said: Said) -> None:
-    """Analyse the force loop at another instant."""
     at = said.get("at")
     lab.details.at = None if at is None else _number(at, 0.0)
     if lab.answer is not None:

@@ -298,7 +298,6 @@ def ffmpeg_program() -> str | None:
 
 
 def _rows(run: Run, speed: float, frames_per_second: int) -> NDArray[np.int64]:
-    """Return the row of each frame."""
     count = max(2, round(float(run.time[-1]) / speed * frames_per_second) + 1)
     instants = np.minimum(np.arange(min(count, MOST_FRAMES + 1)) * speed / frames_per_second, run.time[-1])
     return np.minimum(np.round(instants / run.scenario.time.step), len(run) - 1).astype(np.int64)

@@ -244,5 +244,4 @@ def _edges(shape: CollisionShape) -> Parts:
 
 
 def _numbers(vector: Array) -> tuple[float, ...]:
-    """Return a vector as a section has it."""
     return tuple(np.asarray(vector, dtype=float).tolist())

@@ -28,18 +28,9 @@ from closedloop.base.arguments import arguments_checked
 from closedloop.base.errors import ScenarioError
 from closedloop.base.families import KEEP_ABSENT, Absent, Family, field_alone
 from closedloop.base.sections import Section
+from closedloop.scenario import tables
 from closedloop.scenario.messages import explain, variant_keys
 from closedloop.scenario.scenario import Scenario, families, families_in
-from closedloop.scenario.tables import (
-    ALL,
-    are_points,
-    each_point,
-    names_of_members,
-    plain_section,
-    set_points,
-    table_type,
-    tables_of,
-)
 from robot_models.described import names_a_file
 from robot_models.errors import shown
 from robot_models.toml_text import toml_tables
@@ -168,7 +159,7 @@ def split_overrides(arguments: list[str]) -> tuple[dict[str, Any], list[str]]:
     words = iter(arguments)
     for word in words:
         key, equals, value = word.removeprefix("--").partition("=")
-        if not word.startswith("--") or not ("." in key or table_type(key)):
+        if not word.startswith("--") or not ("." in key or tables.table_type(key)):
             rest.append(word)
             continue
         if not equals:
@@ -336,7 +327,7 @@ def scenario_of(
     """Check a scenario given as the tables of its file; `data` is written to. See `parse_scenario`."""
     try:
         for section in list(data):
-            each_point(section, data)
+            tables.each_point(section, data)
         for key in sorted(_standing(overrides), key=_turn):
             _override(data, key, plain(overrides[key]))
         return Scenario.model_validate(data, context={KEEP_ABSENT: keep_absent})
@@ -369,7 +360,7 @@ def _turn(key: str) -> tuple[int, bool]:
 
     Of these what is for all tables of a list comes before what is for one.
     """
-    return 2 if not key.endswith(".kind") and "." in key else int("." in key), f".{ALL}." not in key
+    return 2 if not key.endswith(".kind") and "." in key else int("." in key), f".{tables.ALL}." not in key
 
 
 def _override(data: dict[str, Any], key: str, value: Any) -> None:
@@ -380,25 +371,25 @@ def _override(data: dict[str, Any], key: str, value: Any) -> None:
     elif isinstance(value, dict) and (family := families().get(f"{key}.kind")) and "kind" in value:
         value["kind"] = family.named(value["kind"], f"{key}.kind")
     section, _, name = key.partition(".")
-    if name and (table_of := table_type(section)):
-        tables, rest = tables_of(data, key)
+    if name and (table_of := tables.table_type(section)):
+        ones, rest = tables.tables_of(data, key)
         value = _named_in_table(value, rest, table_of, key)
-        spread = rest == "at" and are_points(value)
+        spread = rest == "at" and tables.are_points(value)
         if spread:
-            set_points(data, section, tables, value)
-        for table in () if spread else tables:
+            tables.set_points(data, section, ones, value)
+        for table in () if spread else ones:
             _set(table, rest.split("."), deepcopy(value), key, families_in(table_of))
     else:
-        if (table_of := table_type(section)) and isinstance(value, list | tuple):
+        if (table_of := tables.table_type(section)) and isinstance(value, list | tuple):
             value = [_named_in_table(each, "", table_of, f"{key}.{i}") for i, each in enumerate(value)]
-        within = families_in(plain) if (plain := plain_section(section)) is not None else {}
+        within = families_in(plain) if (plain := tables.plain_section(section)) is not None else {}
         _set(data, key.split("."), value, key, within)
-        each_point(section, data)
+        tables.each_point(section, data)
 
 
 def _named_in_table(value: Any, rest: str, table_of: type[Section], key: str) -> Any:
     """Return the value of a key of a table of a list, or the table, with users' classes that it names made known."""
-    if one := names_of_members(table_of).get(rest):
+    if one := tables.names_of_members(table_of).get(rest):
         return one.named(value, key)
     name, _, last = rest.partition(".")
     within = families_in(table_of)

@@ -481,7 +481,6 @@ def facts(key: Key) -> dict[str, str]:
 
 
 def _explained(key: Key) -> Iterator[str]:
-    """Return the lines about a key."""
     yield from _wrapped(f"{key.name}: ", key.field.description or "", hang=4)
     for what, text in facts(key).items():
         if text:
@@ -499,7 +498,6 @@ def kinds(section: str) -> dict[str, str]:
 
 
 def _kinds(section: str) -> list[str]:
-    """Return the lines about the kinds of a section."""
     lines = [line for kind, text in kinds(section).items() for line in _wrapped(f'  kind = "{kind}"  ', text, hang=8)]
     if f"{section}.kind" in families():
         lines.append(f"  or {OWN}, on the command line")
@@ -534,7 +532,6 @@ def _default(field: FieldInfo) -> str:
 
 
 def _bounds(field: FieldInfo) -> Iterator[str]:
-    """Return the bounds of a key's numbers, in words."""
     for part in field.metadata:
         if isinstance(part, Gt):
             yield f"greater than {part.gt:g}"
@@ -547,7 +544,6 @@ def _bounds(field: FieldInfo) -> Iterator[str]:
 
 
 def _takes(field: FieldInfo) -> str:
-    """Return what values a key takes, in words."""
     one = next((each for each in field.metadata if isinstance(each, OneOf)), None)
     return _members(one) if one else _kind_of_value(field.annotation)
 

@@ -239,7 +239,6 @@ class Plain(Interface):
             pass
 
     def _talk(self, client: Client) -> None:
-        """Answer a client until it is gone."""
         session, waiting = self.session, self.waiting
         clock = Clock(session.problem.h)
         codec: Codec | None = None

@@ -232,7 +232,6 @@ class Ur(Interface):
         self._set |= found | {name: value[0] for name, value in found.items() if len(value) == 1}
 
     def _advance(self) -> None:
-        """Step the simulation by a cycle."""
         session, robot = self.session, self._robot
         mode = self._set.get(MODE, LAW)
         torque: Array | None = None
@@ -250,7 +249,6 @@ class Ur(Interface):
         session.cycles += 1
 
     def _values(self) -> dict[str, Any]:
-        """Return the fields that are not zero."""
         state = self.session.state
         q, v, torque = state.measured_position, state.measured_velocity, state.torque
         T, J = self._robot.tip_frame(q)
@@ -272,7 +270,6 @@ class Ur(Interface):
         }  # fmt: skip
 
     def _report(self, client: Client, values: dict[str, Any]) -> None:
-        """Send a client the fields that it gets."""
         names = self._links[client].outputs
         parts = []
         for name in names:

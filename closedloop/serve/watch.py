@@ -81,7 +81,6 @@ class Watch:
         self._page.tell_run()
 
     def _message(self, client: Client) -> dict[str, Any] | None:
-        """Return the message of the run for a page."""
         run = self._run
         if run is None:
             return None

@@ -384,7 +384,6 @@ def _add_body(into: ElementTree.Element, chain: list[int], scene: Scene, mechani
 
 
 def _add_joint(body: ElementTree.Element, joint: int, scene: Scene, mechanism: Any) -> None:
-    """Add a joint to its body."""
     kind, model, name = mechanism.joints[joint], scene.run.model, str(mechanism.names[joint])
     column = kind.idx_v
     if kind.nv > 1:

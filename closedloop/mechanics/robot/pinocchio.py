@@ -116,7 +116,6 @@ class Robot:
         return Robot(self.model, self.tip, self.moved)
 
     def _reach(self) -> float:
-        """Return the attribute `reach`."""
         chain = [int(joint) for joint in self._pin.supports[self._pin.frames[self._frame].parentJoint]][1:]
         along = [self._pin.jointPlacements[joint].translation for joint in chain]
         sliding = sum(self.model.joint_types[self._pin.joints[joint].idx_v] == "prismatic" for joint in chain)

@@ -19,18 +19,7 @@ from closedloop.jit.interim import at_hand
 from closedloop.jit.interpreted import interpreted, twin_address
 from closedloop.jit.parameters import pack
 from closedloop.jit.user_code import of_users
-from closedloop.mechanics.surface.contact import (
-    CONTACT,
-    LEVEL,
-    NO_NORMAL,
-    SurfaceMemory,
-    edge_distance,
-    make_memory,
-    motion_entry,
-    normals_on_surface,
-    put_on_surface,
-    surface_entry,
-)
+from closedloop.mechanics.surface import contact
 from closedloop.mechanics.surface.geometry import Pose, Touch, turned_back
 from closedloop.mechanics.surface.kinds.none import NoSurface
 from closedloop.mechanics.surface.kinds.plane import PlaneSurface
@@ -231,14 +220,14 @@ class PlacedSurface:
 
     def all_entries(self) -> dict[str, Any]:
         """Return the same where the loop asks every surface, a plane at rest too."""
-        found = {"surface": surface_entry(type(self.section))}
-        return found | ({"surface_motion": motion_entry(type(self.motion))} if self.moves else {})
+        found = {"surface": contact.surface_entry(type(self.section))}
+        return found | ({"surface_motion": contact.motion_entry(type(self.motion))} if self.moves else {})
 
-    def memory(self) -> SurfaceMemory:
+    def memory(self) -> contact.SurfaceMemory:
         """Return memory by which it is asked; `Links.motion` is to be set for a surface that moves."""
         (par, motion_par), bounds = self._packed, self.section.bounds()
         solid = self.section.solid() if self.radius == 0.0 else (0.0,) * 5  # a ball goes round the edges
-        return make_memory(
+        return contact.make_memory(
             par, motion_par, (self.section.list_length(), self.motion.list_length()), self.origin,
             self.frame[[1, 2, 0]], bounds, self.radius, solid,
         )  # fmt: skip
@@ -252,10 +241,10 @@ class PlacedSurface:
             return par, pack(self.motion, self.motion.list_length(), "surface_motion")
 
     @cached_property
-    def _interpreted(self) -> SurfaceMemory:
+    def _interpreted(self) -> contact.SurfaceMemory:
         memory = self.memory()
         if self.moves:
-            memory.links.motion = twin_address(motion_entry(type(self.motion)))
+            memory.links.motion = twin_address(contact.motion_entry(type(self.motion)))
         return memory
 
     def touching(self, r: Array, velocity: Array | None = None, t: float = 0.0) -> Touching:
@@ -269,14 +258,14 @@ class PlacedSurface:
         links, ask = self._interpreted
         ask.time, ask.r[:], ask.velocity[:] = t, r, 0.0 if velocity is None else velocity
         with np.errstate(all="ignore"), of_users(self.section, f"{self.where}.kind"):
-            answer = interpreted(surface_entry(type(self.section)))(int(links.address), CONTACT)
+            answer = interpreted(contact.surface_entry(type(self.section)))(int(links.address), contact.CONTACT)
         touch = Touch(ask.touch)
-        if answer == NO_NORMAL:
+        if answer == contact.NO_NORMAL:
             raise ScenarioError(
                 f"{self.where}.kind = {self.section.kind}: has no normal at {np.round(r, 4).tolist()} m"
             )
         gap = float(touch.level / touch.size)
-        inside = edge_distance(touch.at, ask.bounds, ask.solid)
+        inside = contact.edge_distance(touch.at, ask.bounds, ask.solid)
         return Touching(gap, ask.frame.copy(), touch.carried.copy(), touch.turning.copy(), float(touch.level), inside)
 
     def frame_at_rest(self, r: Array, t: float) -> Array:
@@ -292,7 +281,7 @@ class PlacedSurface:
         links, ask = self._interpreted
         ask.time = t
         with of_users(self.motion, f"{self.where}_motion.kind"):
-            interpreted(motion_entry(type(self.motion)))(int(links.address), 0)
+            interpreted(contact.motion_entry(type(self.motion)))(int(links.address), 0)
         return Pose(ask.pose)
 
     def displacement(self, t: float) -> tuple[Array, Array]:
@@ -303,17 +292,17 @@ class PlacedSurface:
         turn: Array = pose.axes.T @ axes
         return turn, pose.origin - turn @ self.origin
 
-    def _say_what_is_raised(self, memory: SurfaceMemory, t: float, r: Array) -> None:
+    def _say_what_is_raised(self, memory: contact.SurfaceMemory, t: float, r: Array) -> None:
         """Ask a user's class again, interpreted, at a point r (3,), m, and an instant t, s; it may raise something."""
         kinds = {
-            f"{self.where}.kind": (self.section, surface_entry),
-            f"{self.where}_motion.kind": (self.motion, motion_entry),
+            f"{self.where}.kind": (self.section, contact.surface_entry),
+            f"{self.where}_motion.kind": (self.motion, contact.motion_entry),
         }
         memory.ask.time, memory.ask.r[:], memory.links.motion = t, r, 0
         for key, (member, entry_of) in kinds.items():
             if is_users(member):
                 with np.errstate(all="ignore"), of_users(member, key):
-                    interpreted(entry_of(type(member)))(memory.address, LEVEL)
+                    interpreted(entry_of(type(member)))(memory.address, contact.LEVEL)
 
     def follow(self, level: float, times: Array, motion: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
         """Return a motion of a point moved along `normal` onto the level φ = `level`, of the surface as it moves.
@@ -323,7 +312,7 @@ class PlacedSurface:
         `motion`, tuple of (N, 3) arrays: position, m, velocity, m/s, and acceleration, m/s², base frame.
         Raises ScenarioError if the surface does not lie in that direction from one of the points.
         """
-        found, done = self.at_each(put_on_surface, (np.array(self.normal), level), times, motion)
+        found, done = self.at_each(contact.put_on_surface, (np.array(self.normal), level), times, motion)
         if done < times.size:
             where = np.round(motion[0][done], 4).tolist()
             try:
@@ -348,7 +337,7 @@ class PlacedSurface:
         """
         if self.fixed_plane:
             return np.tile(self.normal, (times.size, 1)), np.zeros((times.size, 3))
-        found, done = self.at_each(normals_on_surface, (), times, (r, velocity))
+        found, done = self.at_each(contact.normals_on_surface, (), times, (r, velocity))
         if done < times.size:
             raise ScenarioError(
                 f"reference: at t = {times[done]:.4g} s the path is at {np.round(r[done], 4).tolist()} m, where the "
@@ -365,16 +354,16 @@ class PlacedSurface:
         """
         kernels = [kernel, *self.entries().values()]
         if self.fixed_plane:
-            kernels.append(surface_entry(type(self.section)))
+            kernels.append(contact.surface_entry(type(self.section)))
         ready = all(map(at_hand, kernels))
         address = entry_address if ready else twin_address
         memory = self.memory()
         if self.moves:
-            memory.links.motion = address(motion_entry(type(self.motion)))
+            memory.links.motion = address(contact.motion_entry(type(self.motion)))
         if not ready:
             background.start([each for each in kernels if not at_hand(each)])
         found = [np.array(each, dtype=np.float64, order="C") for each in motion]
-        place = address(surface_entry(type(self.section)))
+        place = address(contact.surface_entry(type(self.section)))
         call = kernel if ready else interpreted(kernel)
         with np.errstate(all="ignore"), of_users(self.section, f"{self.where}.kind"):
             done = call(place, memory.address, *leading, np.ascontiguousarray(times), *found)

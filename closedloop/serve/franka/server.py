@@ -340,7 +340,6 @@ class Franka(Interface):
     # The simulation
 
     def _hold(self) -> Array:
-        """Return the torque that holds the arm where it is wanted."""
         return self.springs.at_joints(self._q, self._v, self.motion.q, self.motion.dq)
 
     def _drive(self, command: wire.Command | None) -> None:

@@ -48,20 +48,7 @@ from closedloop.mechanics.loops.boxes import MOST_POINTS
 from closedloop.mechanics.loops.memory import BOXES, POSITION, ROWS, Bound, LoopMemory, bound_points, make_loop_memory
 from closedloop.mechanics.loops.rows import locate_rows
 from closedloop.mechanics.robot.pinocchio import Robot
-from closedloop.mechanics.robot.tree.layout import (
-    CONSTANT,
-    HALF_XX,
-    HALF_YY,
-    HX,
-    HY,
-    PARENT,
-    REVOLUTE,
-    SUPPORT,
-    TURNS,
-    XY,
-    XZ,
-    YZ,
-)
+from closedloop.mechanics.robot.tree import layout
 from closedloop.mechanics.surface.placed import contact_frame, unit
 from closedloop.mechanics.surface.surface import largest_mobility
 from closedloop.scenario.arm import acting_tendons, joint_friction_of, stop_limits
@@ -187,10 +174,15 @@ def write_spins(shapes: Shapes, robot: Robot, bound: Bound, tip_touches: bool) -
     its edge.
     """
     tree, (own, others) = robot.tree, bound.sides.reshape(4, -1)[1:3, ::3]
-    kinds, supports, parents = (tree.links[row * tree.n : (row + 1) * tree.n] for row in (REVOLUTE, SUPPORT, PARENT))
-    for j in np.flatnonzero((kinds == TURNS) & ((supports == 0) | (not tip_touches))):
-        x, mixed = tree.constants[tree.links[CONSTANT * tree.n + j] :], (XY, XZ, YZ, HX, HY)
-        even = not np.any(x[list(mixed)]) and abs(x[HALF_XX] - x[HALF_YY]) <= ON_EDGE * x[HALF_XX]
+    kinds, supports, parents = (
+        tree.links[row * tree.n : (row + 1) * tree.n] for row in (layout.REVOLUTE, layout.SUPPORT, layout.PARENT)
+    )
+    for j in np.flatnonzero((kinds == layout.TURNS) & ((supports == 0) | (not tip_touches))):
+        x, mixed = (
+            tree.constants[tree.links[layout.CONSTANT * tree.n + j] :],
+            (layout.XY, layout.XZ, layout.YZ, layout.HX, layout.HY),
+        )
+        even = not np.any(x[list(mixed)]) and abs(x[layout.HALF_XX] - x[layout.HALF_YY]) <= ON_EDGE * x[layout.HALF_XX]
         carries = bool(np.any(parents == j) or np.any(others == j))
         for i in np.flatnonzero(own == j) + 1:
             M, place = square_of(shapes.shape[i]), bound.at_a[3 * i - 3]

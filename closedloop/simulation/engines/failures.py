@@ -6,18 +6,8 @@ from typing import Any
 
 import numpy as np
 
+from closedloop.base import errors
 from closedloop.base.arrays import Array
-from closedloop.base.errors import (
-    ChatterError,
-    DivergenceError,
-    InterruptedRunError,
-    LawError,
-    NoNormalError,
-    PainleveError,
-    ScenarioError,
-    SimulationError,
-    SingularClosureError,
-)
 from closedloop.base.families import is_users
 from closedloop.base.interrupts import word_for
 from closedloop.jit.interpreted import interpreted
@@ -48,37 +38,39 @@ def when(t: float) -> str:
     return f"stopped at t = {t:.6g} s"
 
 
-def interrupted(stop: KeyboardInterrupt, t: float) -> InterruptedRunError:
+def interrupted(stop: KeyboardInterrupt, t: float) -> errors.InterruptedRunError:
     """Return the error of a run that Ctrl-C, or another signal, stopped at t, s."""
-    error = InterruptedRunError(f"{when(t)}: {word_for(stop)}", t)
+    error = errors.InterruptedRunError(f"{when(t)}: {word_for(stop)}", t)
     error.__cause__ = stop
     return error
 
 
-def failure_of(status: int, t: float, robot: Robot, problem: Problem, law: Any, q: Array, v: Array) -> SimulationError:
+def failure_of(
+    status: int, t: float, robot: Robot, problem: Problem, law: Any, q: Array, v: Array
+) -> errors.SimulationError:
     """Return the error of a status of `closedloop.mechanics.closure.solve` other than OK, at q and q̇ (n,) at t, s."""
     if status == solve.SINGULAR and not problem.scenario.contact:
-        return SingularClosureError(
+        return errors.SingularClosureError(
             f"{when(t)}: singular pose: at q = {_numbers(q)} the tip cannot move along the surface normal "
             f"{_normal_at(problem, q, t).round(4).tolist()}, so Eq. 24 does not determine the contact force; "
             "start from, or steer through, another posture",
             t,
         )
     if status == solve.PUSHED:
-        return SingularClosureError(
+        return errors.SingularClosureError(
             f"{when(t)}: singular pose: at q = {_numbers(q)} the tip cannot move along the surface normal "
             f"{_normal_at(problem, q, t).round(4).tolist()}, and the torque pushes it that way: the contact force "
             "grows beyond all bounds; steer through another posture, or by a torque that does not push there",
             t,
         )
     if status == solve.NOT_POSITIVE_DEFINITE:
-        return SingularClosureError(
+        return errors.SingularClosureError(
             f"{when(t)}: the mass matrix of {robot.model.name} is not positive definite; "
             "some joint moves no inertia (look at the masses and tensors of the last links)",
             t,
         )
     if status == solve.NO_NORMAL:
-        return NoNormalError(
+        return errors.NoNormalError(
             f"{when(t)}: the surface has no normal at {_numbers(robot.position(q))} m, where the tip is"
             f"{', or that of another contact where its point is' if problem.scenario.contact else ''}: the gradient "
             "of its φ vanishes there, or within a step from there, or is not a number; keep the tip near the surface, "
@@ -86,7 +78,7 @@ def failure_of(status: int, t: float, robot: Robot, problem: Problem, law: Any, 
             t,
         )
     if status == solve.LOOPS_OPEN:
-        return SimulationError(
+        return errors.SimulationError(
             f"{when(t)}: at q = {_numbers(q)} the joints cannot follow a [[mocap]]: the loops that hold onto it stay "
             "open; look at mocap.motion, and at the start",
             t,
@@ -94,13 +86,13 @@ def failure_of(status: int, t: float, robot: Robot, problem: Problem, law: Any, 
     if status == solve.CHATTER and problem.placed is not None:
         cure = "look at time.step" + ("" if law is None else ", and at a law that depends on the contacts")
         who = "contacts" if problem.scenario.contact else "tip and the stops of joints"
-        return ChatterError(
+        return errors.ChatterError(
             f"{when(t)}: the {who} chatter: at one instant their modes change again and again, and no set of "
             f"modes agrees with its own forces; {cure}",
             t,
         )
     if status == solve.CHATTER:
-        return ChatterError(
+        return errors.ChatterError(
             f"{when(t)}: the contact chatters: at one instant the torque presses the tip "
             "on while it is free, and lifts it while it touches; look at a law that depends on the contact, and at "
             "time.step",
@@ -112,7 +104,7 @@ def failure_of(status: int, t: float, robot: Robot, problem: Problem, law: Any, 
         return _contacts_fail(status, t, problem.scenario)
     if status == solve.PAINLEVE:
         jams = ", or is jammed between it and the stops of joints" if problem.placed is not None else ""
-        return PainleveError(
+        return errors.PainleveError(
             f"{when(t)}: Painlevé's paradox: the tip slides so that pressing harder pulls it into the surface (the "
             f"coefficient of f in Eq. 24 with friction is not positive){jams}, and no rigid contact force exists; "
             "lower the coefficient of friction, or change the posture or the direction of sliding",
@@ -121,7 +113,7 @@ def failure_of(status: int, t: float, robot: Robot, problem: Problem, law: Any, 
     fast = int(np.argmax(np.abs(v))) if np.all(np.isfinite(v)) else 0
     name = robot.joint_names[fast]
     cure = _cure(problem, robot, law)
-    return DivergenceError(
+    return errors.DivergenceError(
         f"{when(t)}: {DIVERGES}: joint {name} is beyond {SPEED_LIMIT:g} rad/s (m/s) or not a number; {cure}", t
     )
 
@@ -147,21 +139,20 @@ def _cure(problem: Problem, robot: Robot, law: Any) -> str:
 
 
 def _gains(scenario: Scenario, robot: Robot) -> str:
-    """Return the keys of the feedback of a scenario's law."""
     keys = list(dict.fromkeys(key for each in feedbacks(scenario, robot) for key in (each.spring, each.damper)))
     return " and ".join(filter(None, (", ".join(keys[:-1]), *keys[-1:]))) or "the law's gains"
 
 
-def _rubs_without_end(status: int, t: float) -> SimulationError:
+def _rubs_without_end(status: int, t: float) -> errors.SimulationError:
     """Return the error of a tip that changes its mode again and again, at one instant or in every step."""
     if status == solve.RUBS:
-        return ChatterError(
+        return errors.ChatterError(
             f"{when(t)}: stick and slip alternate without end at one instant: no direction of slip "
             "agrees with its own friction, and friction cannot hold the tip; look at friction, at "
             "stabiliser.kind (a tip that sticks drifts without one), and at time.step",
             t,
         )
-    return ChatterError(
+    return errors.ChatterError(
         f"{when(t)}: too many events: the contact changed its mode more than {MAX_IN_STEP} times in the last few "
         f"steps, and more than {OUTPACED} times in each, faster than time.step resolves; look at its events, "
         "at a law or a friction that acts faster than a step, and at time.step",
@@ -169,10 +160,10 @@ def _rubs_without_end(status: int, t: float) -> SimulationError:
     )
 
 
-def _contacts_fail(status: int, t: float, scenario: Scenario) -> SimulationError:
+def _contacts_fail(status: int, t: float, scenario: Scenario) -> errors.SimulationError:
     """Return the error of several contacts that no forces go with."""
     if status == solve.SINGULAR:
-        return SingularClosureError(
+        return errors.SingularClosureError(
             f"{when(t)}: the contacts are inconsistent: no forces give all of them the accelerations that they "
             "require; look for contacts of bodies that cannot move, and leave one out",
             t,
@@ -186,7 +177,7 @@ def _contacts_fail(status: int, t: float, scenario: Scenario) -> SimulationError
                 f"; contact.{name}.friction_law: bristles that are not bent resist a fast slip with damping times its "
                 f"speed: lower damping, or give damping_speed = {passive_damping_speed(par):.3g} m/s or less"
             )
-    return PainleveError(
+    return errors.PainleveError(
         f"{when(t)}: Painlevé's paradox, or jamming: no forces inside the friction cones were found for any modes "
         "of the contacts (one slides so that pressing harder pulls it in, or is jammed); lower the coefficients of "
         f"friction, or change the posture or the direction of sliding{''.join(stiff)}",
@@ -195,7 +186,6 @@ def _contacts_fail(status: int, t: float, scenario: Scenario) -> SimulationError
 
 
 def _numbers(x: Array) -> str:
-    """Return numbers for a message."""
     return np.array2string(x, precision=4, separator=", ", suppress_small=True)
 
 
@@ -204,7 +194,7 @@ def _normal_at(problem: Problem, q: Array, t: float) -> Array:
     return problem.surface.touching(problem.robot.position(q), t=t).frame[0]
 
 
-def raised_by_member(problem: Problem, loop: Loop) -> LawError:
+def raised_by_member(problem: Problem, loop: Loop) -> errors.LawError:
     """Return the error of a run in which a user's member raised something: file, line, type and message in one line.
 
     Compiled code keeps no message: the functions are called again, interpreted, on the memory as it is.
@@ -216,16 +206,16 @@ def raised_by_member(problem: Problem, loop: Loop) -> LawError:
             try:
                 with np.errstate(all="ignore"), of_users(member, f"{name}.kind"):
                     interpreted(entry)(address, what)
-            except ScenarioError as error:
-                return LawError(f"{when(t)}: {error}", t)
+            except errors.ScenarioError as error:
+                return errors.LawError(f"{when(t)}: {error}", t)
     for each in contact_members(loop):
         for what in range(CALLS) if is_users(each.member) else ():
             try:
                 with np.errstate(all="ignore"), of_users(each.member, _key_of(each)):
                     interpreted(each.entry)(each.address, what)
-            except ScenarioError as error:
-                return LawError(f"{when(t)}: {error}", t)
-    return LawError(f"{when(t)}: a function of a class of your own failed", t)
+            except errors.ScenarioError as error:
+                return errors.LawError(f"{when(t)}: {error}", t)
+    return errors.LawError(f"{when(t)}: a function of a class of your own failed", t)
 
 
 def _called_members(problem: Problem, loop: Loop) -> dict[str, tuple[Any, Any, int]]:
@@ -247,7 +237,7 @@ def _key_of(called: Called) -> str:
     return f"contact.{called.contact - 1}.{called.key}.kind" if called.contact else f"{called.key.split('_')[0]}.kind"
 
 
-def member_error(problem: Problem, error: Exception, t: float) -> LawError | None:
+def member_error(problem: Problem, error: Exception, t: float) -> errors.LawError | None:
     """Return what a user's member raised in an interpreted run as the error of the run; None if none of them did."""
     members = {f"{name}.kind": getattr(problem.scenario, name) for name in problem.entries()}
     members |= {f"belief.{name}.kind": getattr(problem.believed, MEMBERS[name]) for name in problem.believed_entries()}
@@ -261,6 +251,6 @@ def member_error(problem: Problem, error: Exception, t: float) -> LawError | Non
             try:
                 with of_users(member, key):
                     raise error
-            except ScenarioError as told:
-                return LawError(f"{when(t)}: {told}", t)
+            except errors.ScenarioError as told:
+                return errors.LawError(f"{when(t)}: {told}", t)
     return None

@@ -50,13 +50,7 @@ from closedloop.record.columns.derived import Recorded
 from closedloop.record.run import Run
 from closedloop.scenario.load import START, Variants, replaced
 from closedloop.scenario.scenario import Scenario
-from closedloop.simulation.engines.bind_contacts import (
-    contact_memory,
-    place_states,
-    placed_on_link,
-    rest_states,
-    stops_at_start,
-)
+from closedloop.simulation.engines import bind_contacts
 from closedloop.simulation.engines.proceed import proceed_at
 from closedloop.simulation.engines.scenario_numbers import SIZES, ScenarioNumbers, entries_of
 from closedloop.simulation.parts import asking
@@ -74,7 +68,7 @@ class BallMemory(NamedTuple):
 def ball_memory(robot: Robot, surface: PlacedSurface, radius: float, loop: int) -> BallMemory:
     """Return a new memory of a tip with an end of this radius, m, on a surface; `loop` is the address of the loop."""
     poses = link_poses(robot.tree, robot.model.loop_home)
-    link, _, point = placed_on_link(robot, poses, robot.tip, (0.0, 0.0, 0.0), "robot.tip")
+    link, _, point = bind_contacts.placed_on_link(robot, poses, robot.tip, (0.0, 0.0, 0.0), "robot.tip")
     kinds = np.array([POSITION] * 3 + [link] * 3 + [-1] * 3 + [0, 1, 1], dtype=np.int64)
     along = surface.frame if surface.fixed_plane else np.eye(3)
     bound = bound_points(robot.n, kinds, np.tile(point, (3, 1)), np.zeros((3, 3)), along)
@@ -93,8 +87,8 @@ def external_memory(scenario: Scenario, robot: Robot) -> LoopMemory:
     places: list[tuple[int, int, Array, Array, Array]] = []
     for i, section in enumerate(sections):
         where, (frame, at) = f"external_force[{i}]", section.place(robot.tip, scenario.tool.offset)
-        link, _, point = placed_on_link(robot, poses, frame, at, f"{where}.link")
-        other, turn, _ = placed_on_link(robot, poses, section.axes, (0.0, 0.0, 0.0), f"{where}.axes")
+        link, _, point = bind_contacts.placed_on_link(robot, poses, frame, at, f"{where}.link")
+        other, turn, _ = bind_contacts.placed_on_link(robot, poses, section.axes, (0.0, 0.0, 0.0), f"{where}.axes")
         if link < 0:
             raise ScenarioError(f"{where}.link = {shown(frame)}: no joint moves it: name a frame that moves")
         places.append((link, other, point, turn @ section.force, turn @ section.moment))
@@ -344,8 +338,8 @@ class Problem(ScenarioNumbers):
         motors = 2 * n if self.scenario.transmission.elastic else 0
         tip, before = both + sensor, both + sensor + surface + n * joints
         rows = self.contact_rows
-        contacts = None if rows is None else contact_memory(self.scenario, self.robot, rows)
-        extra = (before if contacts is None else place_states(contacts.contacts, tip, before)) + motors
+        contacts = None if rows is None else bind_contacts.contact_memory(self.scenario, self.robot, rows)
+        extra = (before if contacts is None else bind_contacts.place_states(contacts.contacts, tip, before)) + motors
         loop = make_loop(
             n, **dict(zip(SIZES, sizes, strict=True)), extra=extra, stages=self.integrator.stages, ring=ring,
             ends=np.array(self.ends), into=into,
@@ -401,8 +395,8 @@ class Problem(ScenarioNumbers):
         write_start(self, state, loop.w)
         if self.placed is not None:
             contacts = kept["contacts"]
-            rest_states(self.scenario, self.placed, self.v, contacts, loop.w.z)
-            held = stops_at_start(contacts, loop.constants, self.q, self.v)
+            bind_contacts.rest_states(self.scenario, self.placed, self.v, contacts, loop.w.z)
+            held = bind_contacts.stops_at_start(contacts, loop.constants, self.q, self.v)
             stepped = self.integrator.time_stepping
             state.coupled = int(stepped or self.placed.starts_closed or held)
             contacts.links.undecided = contacts.links.fresh = int(state.coupled and not stepped)

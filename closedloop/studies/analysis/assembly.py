@@ -228,7 +228,6 @@ def assembled(r: Reduced) -> LinearLoop:
 
 
 def _inputs(r: Reduced) -> tuple[Quantity, ...]:
-    """Return the names of the inputs."""
     return (
         Quantity("force command", "N"), Quantity("surface acceleration", "m/s²"), Quantity("load", "N"),
         Quantity("sensor noise", "N"), *(Quantity(f"torque[{name}]", "N m") for name in r.problem.robot.joint_names),
@@ -236,7 +235,6 @@ def _inputs(r: Reduced) -> tuple[Quantity, ...]:
 
 
 def _outputs(r: Reduced) -> tuple[Quantity, ...]:
-    """Return the names of the outputs."""
     contacts = () if r.here.contacts is None else r.here.contacts.names
     return (
         Quantity("contact force", "N"), *(Quantity(f"tip {axis}", "m") for axis in "xyz"),
@@ -246,7 +244,6 @@ def _outputs(r: Reduced) -> tuple[Quantity, ...]:
 
 
 def _names(r: Reduced, ages: int, lasts: int, held: int) -> list[Quantity]:
-    """Return the names of all states, in their order."""
     names: list[Quantity] = []
     joints = r.problem.robot.joint_names
     for tangent, normal, per in (("y", "deformation", ""), ("w", "deformation rate", "/s")):

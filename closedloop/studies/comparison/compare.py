@@ -151,7 +151,6 @@ def compare(
 
 
 def _in_words(value: Any) -> str:
-    """Return a value of a key as a word."""
     return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 

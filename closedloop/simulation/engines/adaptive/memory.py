@@ -187,7 +187,6 @@ class Memory:
         return answer
 
     def _evaluate_for(self, use: int) -> None:
-        """Evaluate the state in the memory."""
         phase, self.state.phase, self.state.query = int(self.state.phase), locate.QUERY, use
         if use == RECORD:
             drawn = slice(Reference.count(self._problem.robot.n), None)  # what the sensor draws
@@ -197,7 +196,6 @@ class Memory:
         self.state.phase = phase
 
     def _check(self, status: int) -> None:
-        """Raise an error for a status other than OK."""
         user_law = self.driver.user_law
         if user_law is not None and (status == LAW_FAILED or user_law.interruption is not None):
             error = user_law.failure()

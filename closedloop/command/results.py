@@ -124,9 +124,7 @@ class Results:
             if self._other:
                 self._clear()
             summary = json.dumps(run.summary(), indent=2, allow_nan=False) + "\n"
-            return [
-                run.save(self.folder / RUN), files.write_whole(self.folder / SUMMARY, summary.encode())
-            ]  # fmt: skip
+            return [run.save(self.folder / RUN), files.write_whole(self.folder / SUMMARY, summary.encode())]
 
     def _clear(self) -> None:
         """Remove files of an earlier run that the new one would not overwrite: its summary and its figures."""

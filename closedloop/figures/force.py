@@ -343,9 +343,7 @@ def friction_force(run: Run, ax: Axes | Sequence[Axes] | None = None) -> Figure:
     ):
         for sign in (1.0, -1.0):
             label = f"±({name}), μ = {level:g}" if "+" in name else f"±{name}, μ = {level:g}"
-            above.plot(
-                run.time, sign * bound, stroke, color="0.6", linewidth=1.8, label=label if sign > 0 else None
-            )  # fmt: skip
+            above.plot(run.time, sign * bound, stroke, color="0.6", linewidth=1.8, label=label if sign > 0 else None)
     above.plot(run.time, np.sum(force * along, axis=1), color=style.COLOURS[0], label="along the path")
     beside = np.sum(force * across, axis=1)
     if np.max(np.abs(beside)) > ASIDE * np.max(np.abs(force)):

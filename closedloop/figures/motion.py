@@ -414,9 +414,7 @@ def columns(run: Run, names: Sequence[str], ax: Axes | Sequence[Axes] | None = N
         axes.margins(y=0.1)
         unit = typeset(units) if units not in ("", "1") else ""
         text = name if name in SYMBOLS else name.replace("_", " ")
-        style.dress(
-            axes, run, "", f"{text} [{unit}]" if unit else text, label_marks=False, show_events=axes is on[-1],
-        )  # fmt: skip
+        style.dress(axes, run, "", f"{text} [{unit}]" if unit else text, label_marks=False, show_events=axes is on[-1])
         if len(labels) > 1:
             style.legend_beside_title(axes)
     return style.finished(figure, on, run)

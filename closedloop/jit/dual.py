@@ -80,7 +80,5 @@ _twins = Twins(_twin_value)
 def _in_place_of() -> dict[int, Any]:
     from closedloop.jit.inside.dual8 import dual_fortran_at, dual_matrix_at, dual_vector_at
 
-    pairs = (
-        (np, _NUMPY), (vector_at, dual_vector_at), (matrix_at, dual_matrix_at), (fortran_at, dual_fortran_at),
-    )  # fmt: skip
+    pairs = ((np, _NUMPY), (vector_at, dual_vector_at), (matrix_at, dual_matrix_at), (fortran_at, dual_fortran_at))
     return {id(value): other for value, other in pairs}

@@ -174,9 +174,8 @@ class Control:
         changed = replace(self, value=value)
         if self.form in ("linear", "log", "whole"):
             at = math.log10(changed.own) if self.form == "log" else float(changed.own)
-            if (
-                not self.low - self.step <= at <= self.high + self.step
-            ):  # within a step it is rounding, not another span
+            # within a step it is rounding, not another span
+            if not self.low - self.step <= at <= self.high + self.step:
                 changed = replace(changed, low=min(self.low, at), high=max(self.high, at))
         return changed
 
@@ -366,9 +365,8 @@ def rows_in_groups(found: Iterable[Control], first: dict[tuple[str, int | None],
         groups[group_of(control.key)].append(_row(control, first, changes))
         if control.key == "surface.kind" and control.value == "none":  # the tip touches nothing
             opened.discard(TIP)
-        if (
-            control.key == "law.kind" and ":" in control.value
-        ):  # a law of the user's own: its gains have their own names
+        # a law of the user's own: its gains have their own names
+        if control.key == "law.kind" and ":" in control.value:
             opened.add(MORE)
     if len(groups[LINKS]) <= FEW:
         opened.add(LINKS)

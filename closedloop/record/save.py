@@ -248,9 +248,7 @@ ADDED = "added"
 # An attribute of a run that was compared with one at half its step: JSON, see `closedloop.record.report.halved`.
 HALVED = "halved"
 # What the checksum is of.
-ATTRIBUTES = {
-    ADDED, "format", "format_version", "seed", "wall_seconds", "summary", *TEXTS, MEMBERS, HALVED,
-}  # fmt: skip
+ATTRIBUTES = {ADDED, "format", "format_version", "seed", "wall_seconds", "summary", *TEXTS, MEMBERS, HALVED}
 
 
 def question(

@@ -85,9 +85,7 @@ def add_surface(assets: ElementTree.Element, world: ElementTree.Element, scene: 
         element(body, "geom", type="sphere", pos=origin - section.radius * n, size=(section.radius,), **look)
     elif isinstance(section, Ellipsoid):
         size = section.a, section.b, section.c
-        element(
-            body, "geom", type="ellipsoid", pos=origin - section.c * n, quat=quaternion(turned), size=size, **look
-        )  # fmt: skip
+        element(body, "geom", type="ellipsoid", pos=origin - section.c * n, quat=quaternion(turned), size=size, **look)
     elif isinstance(section, Cylinder) and not section.inside:
         axis = unit(section.axis, "surface.axis")
         half = float(np.ptp((scene.ground.mesh[0] - origin) @ axis)) + section.radius
@@ -420,9 +418,7 @@ def _add_mesh(
     colour: Sequence[float],
 ) -> None:  # fmt: skip
     """Add a shape, which has neither mass nor contact."""
-    element(
-        assets, "mesh", name=name, inertia="shell", vertex=numbers(vertices, 6), face=numbers(faces),
-    )  # fmt: skip
+    element(assets, "mesh", name=name, inertia="shell", vertex=numbers(vertices, 6), face=numbers(faces))
     element(
         body, "geom", name=name, type="mesh", mesh=name, rgba=(*colour, 1.0), mass=0.0, contype=0, conaffinity=0,
         group=ARM_GROUP,

@@ -191,9 +191,8 @@ def external_wrenches(
         frame, at = section.place(tip, scenario.tool.offset)
         link, rotation, origin = placed_frame(mechanism, frame)
         other, turned, _ = placed_frame(mechanism, section.axes)
-        step = scenario.time.step * (
-            1e-6 if scenario.time.integrator in ADAPTIVE else 1.0
-        )  # there it is all or nothing
+        # there it is all or nothing
+        step = scenario.time.step * (1e-6 if scenario.time.integrator in ADAPTIVE else 1.0)
         share = section.shares(run.time[rows], step)
         wrench = np.concatenate([axes[:, other] @ turned @ part for part in (section.force, section.moment)], axis=1)
         yield link, origins[:, link] + axes[:, link] @ (origin + rotation @ np.array(at)), share[:, None] * wrench

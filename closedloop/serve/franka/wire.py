@@ -41,9 +41,7 @@ REQUESTS = {
 
 # Answers: of all commands; of Connect; of setters; of Move.
 SUCCESS, NOT_POSSIBLE, INCOMPATIBLE, INVALID_ARGUMENT = 0, 1, 1, 2
-(
-    MOVE_STARTED, MOVE_PREEMPTED, MOVE_NOT_POSSIBLE, MOVE_INVALID, MOVE_REFLEX, MOVE_INPUT_ERROR,
-) = 1, 2, 5, 7, 8, 10  # fmt: skip
+(MOVE_STARTED, MOVE_PREEMPTED, MOVE_NOT_POSSIBLE, MOVE_INVALID, MOVE_REFLEX, MOVE_INPUT_ERROR) = 1, 2, 5, 7, 8, 10
 
 # Motion generators and controllers as Move has them, and as the state shows them.
 JOINT_POSITION, JOINT_VELOCITY, CARTESIAN_POSE, CARTESIAN_VELOCITY, NO_GENERATOR = range(5)

@@ -105,9 +105,8 @@ class DualRun:
         self._state = State(words[0])
         # What Python reads and writes between calls of the loop: the values.
         self._loop = Loop(
-            self._state, Constants(self._constants[:, 0], *loop.constants.sizes),
-            Work(self._work[:, 0], *loop.w.sizes),
-        )  # fmt: skip
+            self._state, Constants(self._constants[:, 0], *loop.constants.sizes), Work(self._work[:, 0], *loop.w.sizes)
+        )
         table, tree = wide_of[id(problem.table)], base.tree
         constants = wide_of[id(tree.constants)]
         tableau = np.ascontiguousarray(problem.integrator.tableau())

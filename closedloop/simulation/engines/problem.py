@@ -202,9 +202,8 @@ def write_start(problem: ScenarioNumbers, state: State, w: Work) -> None:
     slip = float(np.hypot(u[1], u[2]))
     if slip > 0.0:
         w.friction.direction[:] = u[1:] / slip
-    felt = (
-        float(problem.table[0, Reference.place("force", n)]) if problem.mode != FREE else 0.0
-    )  # the sensor's history is f_des
+    # the sensor's history is f_des
+    felt = float(problem.table[0, Reference.place("force", n)]) if problem.mode != FREE else 0.0
     sensor = int(state.law_states)
     friction = sensor + int(state.sensor.states)
     joints = friction + int(state.friction.states)

@@ -140,9 +140,7 @@ def entries_of(scenario: Scenario, model: RobotModel, law: bool, joints: JointFr
 
 
 # The columns of what is desired, and their parts of `Reference`.
-WANTED = {
-    "reference_position": "q", "reference_velocity": "v", "reference_tip": "position", "reference_force": "force",
-}  # fmt: skip
+WANTED = {"reference_position": "q", "reference_velocity": "v", "reference_tip": "position", "reference_force": "force"}
 
 
 class RecordLayout(NamedTuple):

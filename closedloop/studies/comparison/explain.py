@@ -83,10 +83,8 @@ def explain(residual: Array, hypotheses: Sequence[Hypothesis], size: float = 0.0
     for h, still, equal in zip(chosen, lefts, others, strict=True):
         k = h.columns.shape[1]
         reasons.append(
-            Reason(
-                h.name, h.unit, tuple(h.labels), value[at : at + k], half[at : at + k], alone[h.name], still, equal
-            )
-        )  # fmt: skip
+            Reason(h.name, h.unit, tuple(h.labels), value[at : at + k], half[at : at + k], alone[h.name], still, equal)
+        )
         at += k
     return reasons
 

@@ -269,9 +269,7 @@ def along(
         if not todo:
             break
         steps = {d: d.step * SHORTER**-table for d in todo}
-        points = [
-            (d, sign * steps[d] * 0.5**level) for d in todo for sign in (-1.0, 1.0) for level in range(LEVELS)
-        ]  # fmt: skip
+        points = [(d, sign * steps[d] * 0.5**level) for d in todo for sign in (-1.0, 1.0) for level in range(LEVELS)]
         ran = samples([partial(keys.scenario_at, {d: change}) for d, change in points], read, model, report, workers)
         for i, d in enumerate(todo):
             mine = ran[2 * LEVELS * i : 2 * LEVELS * (i + 1)]

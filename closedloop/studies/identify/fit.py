@@ -194,9 +194,8 @@ def _autoregression(X: Array, torque: Array, used: Mask, sigma: Array) -> tuple[
     count, firsts = used.sum(axis=0), first.sum(axis=0)
     if count.sum() <= b:
         return np.zeros(n), sigma, np.eye(2 * n) / LEAST_TOLD
-    moments = np.zeros(
-        (n, 4, b + 1, b + 1)
-    )  # of [X τ]/σ: of windows with themselves, those before, of those, of firsts
+    # of [X τ]/σ: of windows with themselves, those before, of those, of firsts
+    moments = np.zeros((n, 4, b + 1, b + 1))
     for j in range(n):
         rows = np.column_stack([X[:, j], torque[:, j]]) / sigma[j]
         now, before, alone = rows[1:][both[:, j]], rows[:-1][both[:, j]], rows[first[:, j]]

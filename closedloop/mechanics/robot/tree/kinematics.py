@@ -233,12 +233,8 @@ def ball(tree: Tree, i: int, v: Array, work: Array) -> None:
     t, r0, r1, r2 = w[s + at.COSINE], w[s + at.POSITION], w[s1 + at.POSITION], w[s2 + at.POSITION]
     q00, q10, q20 = 1.0 - 2.0 * (r1 * r1 + r2 * r2), 2.0 * (r0 * r1 + r2 * t), 2.0 * (r0 * r2 - r1 * t)
     q01, q11, q21 = 2.0 * (r0 * r1 - r2 * t), 1.0 - 2.0 * (r0 * r0 + r2 * r2), 2.0 * (r1 * r2 + r0 * t)
-    x0, x1, x2 = (
-        e0 * q00 + f0 * q10 + g0 * q20, e1 * q00 + f1 * q10 + g1 * q20, e2 * q00 + f2 * q10 + g2 * q20,
-    )  # fmt: skip
-    y0, y1, y2 = (
-        e0 * q01 + f0 * q11 + g0 * q21, e1 * q01 + f1 * q11 + g1 * q21, e2 * q01 + f2 * q11 + g2 * q21,
-    )  # fmt: skip
+    x0, x1, x2 = (e0 * q00 + f0 * q10 + g0 * q20, e1 * q00 + f1 * q10 + g1 * q20, e2 * q00 + f2 * q10 + g2 * q20)
+    y0, y1, y2 = (e0 * q01 + f0 * q11 + g0 * q21, e1 * q01 + f1 * q11 + g1 * q21, e2 * q01 + f2 * q11 + g2 * q21)
     z0, z1, z2 = x1 * y2 - x2 * y1, x2 * y0 - x0 * y2, x0 * y1 - x1 * y0
     v0, v1, v2 = v[i], v[i + 1], v[i + 2]
     g0, g1, g2 = x0 * v0 + y0 * v1 + z0 * v2, x1 * v0 + y1 * v1 + z1 * v2, x2 * v0 + y2 * v1 + z2 * v2

@@ -43,81 +43,41 @@ from closedloop.record.run import Run, units_by_kind
 from closedloop.scenario.arm import robot_of
 from closedloop.scenario.tables import labels_of
 
-_TIME = """================================================================================
-MSG: builtin_interfaces/Time
-int32 sec
-uint32 nanosec"""
-_HEADER = f"""================================================================================
-MSG: std_msgs/Header
-builtin_interfaces/Time stamp
-string frame_id
-{_TIME}"""
-_SEPARATOR = "=" * 80
-
-_POINT = f"""{_SEPARATOR}
-MSG: geometry_msgs/Point
-float64 x
-float64 y
-float64 z"""
-_POSE = f"""{_SEPARATOR}
-MSG: geometry_msgs/Pose
-geometry_msgs/Point position
-geometry_msgs/Quaternion orientation
-{_POINT}
-{_SEPARATOR}
-MSG: geometry_msgs/Quaternion
-float64 x
-float64 y
-float64 z
-float64 w"""
-
-DEFINITIONS: dict[str, str] = {
-    "sensor_msgs/msg/JointState": f"""std_msgs/Header header
-string[] name
-float64[] position
-float64[] velocity
-float64[] effort
-{_HEADER}""",
-    "geometry_msgs/msg/PoseStamped": f"""std_msgs/Header header
-geometry_msgs/Pose pose
-{_HEADER}
-{_POSE}""",
-    "geometry_msgs/msg/PointStamped": f"""std_msgs/Header header
-geometry_msgs/Point point
-{_HEADER}
-{_POINT}""",
-    "nav_msgs/msg/Path": f"""std_msgs/Header header
-geometry_msgs/PoseStamped[] poses
-{_HEADER}
-{_SEPARATOR}
-MSG: geometry_msgs/PoseStamped
-std_msgs/Header header
-geometry_msgs/Pose pose
-{_POSE}""",
-    "geometry_msgs/msg/WrenchStamped": f"""std_msgs/Header header
-geometry_msgs/Wrench wrench
-{_HEADER}
-{_SEPARATOR}
-MSG: geometry_msgs/Wrench
-geometry_msgs/Vector3 force
-geometry_msgs/Vector3 torque
-{_SEPARATOR}
-MSG: geometry_msgs/Vector3
-float64 x
-float64 y
-float64 z""",
-    "rcl_interfaces/msg/Log": f"""builtin_interfaces/Time stamp
-uint8 level
-string name
-string msg
-string file
-string function
-uint32 line
-{_TIME}""",
-    "std_msgs/msg/String": "string data",
+# The fields of each message that is sent, and of those within.
+FIELDS = {
+    "sensor_msgs/JointState": "std_msgs/Header header; string[] name; float64[] position; float64[] velocity; "
+    "float64[] effort",
+    "geometry_msgs/PoseStamped": "std_msgs/Header header; geometry_msgs/Pose pose",
+    "geometry_msgs/PointStamped": "std_msgs/Header header; geometry_msgs/Point point",
+    "nav_msgs/Path": "std_msgs/Header header; geometry_msgs/PoseStamped[] poses",
+    "geometry_msgs/WrenchStamped": "std_msgs/Header header; geometry_msgs/Wrench wrench",
+    "rcl_interfaces/Log": "builtin_interfaces/Time stamp; uint8 level; string name; string msg; string file; "
+    "string function; uint32 line",
+    "std_msgs/String": "string data",
+    "builtin_interfaces/Time": "int32 sec; uint32 nanosec",
+    "std_msgs/Header": "builtin_interfaces/Time stamp; string frame_id",
+    "geometry_msgs/Point": "float64 x; float64 y; float64 z",
+    "geometry_msgs/Vector3": "float64 x; float64 y; float64 z",
+    "geometry_msgs/Quaternion": "float64 x; float64 y; float64 z; float64 w",
+    "geometry_msgs/Pose": "geometry_msgs/Point position; geometry_msgs/Quaternion orientation",
+    "geometry_msgs/Wrench": "geometry_msgs/Vector3 force; geometry_msgs/Vector3 torque",
 }
 
 
+def _definition(kind: str) -> str:
+    """Return the definition of a message as ROS 2 has it: its fields, and then each message within, once."""
+    kinds, texts = [kind], []
+    for each in kinds:
+        fields = FIELDS[each].split("; ")
+        texts.append("\n".join(fields if each == kind else [f"MSG: {each}", *fields]))
+        inner = [field.partition(" ")[0].removesuffix("[]") for field in fields]
+        kinds += [name for name in inner if name in FIELDS and name not in kinds]
+    return f"\n{'=' * 80}\n".join(texts)
+
+
+SENT = ("sensor_msgs/JointState", "geometry_msgs/PoseStamped", "geometry_msgs/PointStamped", "nav_msgs/Path",
+        "geometry_msgs/WrenchStamped", "rcl_interfaces/Log", "std_msgs/String")  # fmt: skip
+DEFINITIONS = {kind.replace("/", "/msg/"): _definition(kind) for kind in SENT}
 NEEDS_MCAP = missing_line("MCAP needs", "mcap-ros2-support", "mcap")
 PATH_POINTS = 1000  # of the message with the whole desired path, at most
 INFO = 20  # level of a log message
@@ -292,12 +252,18 @@ def write_csv(run: Run, path: str | Path) -> list[Path]:
     ``q J1 [rad]``, ``position x [m]`` ...; what has no unit has none. Reactions
     of loop joints are last, ``reaction pin: force along x [N]`` ..., in the axes of the second of its frames.
     """
-    return _write_tables(run, Path(path), _csv)
+    needs("pyarrow")
+    from pyarrow import csv
+
+    return _write_tables(run, Path(path), csv.write_csv)
 
 
 def write_parquet(run: Run, path: str | Path) -> list[Path]:
     """Write a run as Parquet, with the headers of `write_csv`, and its events beside it; return the paths."""
-    return _write_tables(run, Path(path), _parquet)
+    needs("pyarrow")
+    from pyarrow import parquet
+
+    return _write_tables(run, Path(path), parquet.write_table)
 
 
 def write_mat(run: Run, path: str | Path) -> list[Path]:
@@ -317,15 +283,24 @@ def write_mat(run: Run, path: str | Path) -> list[Path]:
     return [write_whole(path, file.getvalue())]
 
 
-def _write_tables(run: Run, path: Path, encoded: Callable[[Mapping[str, NDArray[Any]]], bytes]) -> list[Path]:
+def encoded(columns: Mapping[str, NDArray[Any]], write: Callable[[Any, BinaryIO], object]) -> bytes:
+    """Return the file that a function of pyarrow writes of columns."""
+    import pyarrow as pa
+
+    content = io.BytesIO()
+    write(pa.table(dict(columns)), content)
+    return content.getvalue()
+
+
+def _write_tables(run: Run, path: Path, write: Callable[[Any, BinaryIO], object]) -> list[Path]:
     """Write the rows of a run, and its events, if it has any, beside it; return the paths."""
     rows = [*(name for name in run.specs if name not in EVENT_COLUMNS), *DERIVED]
     whole = {k: v for name in rows for k, v in _flat(run, name).items()} | _carried(run)
-    written = [write_whole(path, encoded(whole))]
+    written = [write_whole(path, encoded(whole, write))]
     if run.events:
         columns = {k: v for name in EVENT_COLUMNS for k, v in _flat(run, name).items()}
         columns["event_kind"] = np.array([KINDS[int(kind)] for kind in run.event_kind])
-        written.append(write_whole(path.with_name(f"{path.stem}_events{path.suffix}"), encoded(columns)))
+        written.append(write_whole(path.with_name(f"{path.stem}_events{path.suffix}"), encoded(columns, write)))
     return written
 
 
@@ -356,26 +331,6 @@ def _carried(run: Run) -> dict[str, NDArray[Any]]:
 
 def _header(name: str, unit: str) -> str:
     return name if unit in ("", "1") else f"{name} [{unit}]"
-
-
-def _csv(columns: Mapping[str, NDArray[Any]]) -> bytes:
-    needs("pyarrow")
-    import pyarrow as pa
-    from pyarrow import csv
-
-    text = io.BytesIO()
-    csv.write_csv(pa.table(dict(columns)), text)
-    return text.getvalue()
-
-
-def _parquet(columns: Mapping[str, NDArray[Any]]) -> bytes:
-    needs("pyarrow")
-    import pyarrow as pa
-    from pyarrow import parquet
-
-    content = io.BytesIO()
-    parquet.write_table(pa.table(dict(columns)), content)
-    return content.getvalue()
 
 
 # By the ending of the path; `closedloop export` has them too.

@@ -46,46 +46,35 @@ def report_rows(run: Record) -> list[Row]:
     step = "steps of its own" if time.integrator in ADAPTIVE else f"step {time.step:g} s"
     where_to = "along the surface" if run.scenario.has_surface else "across surface.normal"
     has_law = run.scenario.has_law or run.law != "scenario"
-    path = [("path error, RMS", _shown(facts["rms_path_error"], ".2g"), "m", where_to)] if has_law else []
+
+    def row(label: str, key: str, form: str, unit: str, beside: str = "") -> Row:
+        return label, _shown(facts[key], form), unit, beside
+
+    path = [row("path error, RMS", "rms_path_error", ".2g", "m", where_to)] if has_law else []
+    last = f"{_shown(end, '.1g')} m at the end" if touching[-1] else f"a gap of {_shown(end, '.3g')} m at the end"
+    depth = "closure error |e|" if run.scenario.compliance.kind == "none" else "depth in the surface |e|"
+    stated = commanded if touching[-1] else f"free; {commanded}"
     tip: list[Row] = [
-        (
-            "contact force f at the end",
-            _shown(facts["final_contact_force"], ".9g"),
-            "N",
-            commanded if touching[-1] else f"free; {commanded}",
-        ),
+        row("contact force f at the end", "final_contact_force", ".9g", "N", stated),
         ("f, lowest and highest", f"{np.min(force):.4g} … {np.max(force):.4g}", "N", where),
         *_undetermined_rows(facts),
         *_direction_rows(facts),
-        ("force error, RMS", _shown(facts["rms_force_error"], ".2g"), "N", "while it touches"),
+        row("force error, RMS", "rms_force_error", ".2g", "N", "while it touches"),
         *path,
-        ("the stabiliser's part of f", _shown(facts["max_stabiliser_force"], ".2g"), "N", absent),
-        (
-            "closure error |e|" if run.scenario.compliance.kind == "none" else "depth in the surface |e|",
-            _shown(facts["max_abs_closure_error"], ".2g"),
-            "m",
-            f"{_shown(end, '.1g')} m at the end" if touching[-1] else f"a gap of {_shown(end, '.3g')} m at the end",
-        ),
-        ("closure rate |ė|", _shown(facts["max_abs_closure_rate"], ".2g"), "m/s", ""),
+        row("the stabiliser's part of f", "max_stabiliser_force", ".2g", "N", absent),
+        row(depth, "max_abs_closure_error", ".2g", "m", last),
+        row("closure rate |ė|", "max_abs_closure_rate", ".2g", "m/s"),
     ]
+    exchanged = f"of {energy_at_stake(facts, facts['energy_gained'] is not None):.2g} J exchanged"
+    order = "not known" if scheme is None else f"{scheme.order}"
     return [
         *(tip if run.scenario.has_surface else path),
-        ("residual of Eq. 24", _shown(facts["max_kkt_residual"], ".1g"), "relative", "rounding is 1e-16"),
-        (
-            "energy unaccounted for",
-            _shown(facts["max_energy_residual"], ".2g"),
-            "J",
-            f"of {energy_at_stake(facts, facts['energy_gained'] is not None):.2g} J exchanged",
-        ),
+        row("residual of Eq. 24", "max_kkt_residual", ".1g", "relative", "rounding is 1e-16"),
+        row("energy unaccounted for", "max_energy_residual", ".2g", "J", exchanged),
         *_gain_rows(run, facts),
-        (
-            "order of the integrator",
-            "not known" if scheme is None else f"{scheme.order}",
-            "",
-            f"{time.integrator}, {step}",
-        ),
+        ("order of the integrator", order, "", f"{time.integrator}, {step}"),
         *_step_rows(facts["step_error"]),
-        ("tip speed", _shown(facts["max_tip_speed"], ".4g"), "m/s", ""),
+        row("tip speed", "max_tip_speed", ".4g", "m/s"),
         *_undriven_rows(run, facts),
         *_loop_rows(run),
         *contact_rows(run),
@@ -287,8 +276,8 @@ def notes(run: Record) -> list[str]:
         ("friction", _energy_fault(run.scenario.friction, load)),
         ("joint_friction", _energy_fault(run.scenario.joint_friction, 1.0, run.v.shape[1])),
         *(
-            (f"contact.{i}.friction_law", _energy_fault(section.friction_law, float(np.max(forces, initial=0.0))))
-            for i, (section, forces) in enumerate(zip(run.scenario.contact or (), run.link_forces.T, strict=False))
+            (f"contact.{i}.friction_law", _energy_fault(section.friction_law, np.max(run.link_forces[:, i])))
+            for i, section in enumerate(run.scenario.contact or ())
         ),
         ("gains", run_gains_fault(run)),
     )

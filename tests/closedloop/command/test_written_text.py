@@ -11,13 +11,14 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+from pyarrow.csv import write_csv
 
 import closedloop as cl
 import validation
 from closedloop.__main__ import main
 from closedloop.base.errors import printable
 from closedloop.base.files import what_was_written
-from closedloop.figures.export.files import _csv
+from closedloop.figures.export.files import encoded
 from closedloop.figures.export.mjcf import explained
 from closedloop.lab.history import quoted, save
 
@@ -62,7 +63,7 @@ def test_a_name_stays_in_the_comment_of_an_mjcf(text):
 @pytest.mark.parametrize("text", [text for text in NASTY if "\ud800" not in text])
 def test_a_name_stays_in_its_cell_of_a_table(text):
     """A header is read back as it was."""
-    written = _csv({text: np.zeros(2), "b": np.ones(2)}).decode()
+    written = encoded({text: np.zeros(2), "b": np.ones(2)}, write_csv).decode()
     rows = list(csv.reader(io.StringIO(written, newline="")))
     assert rows == [[text, "b"], ["0", "1"], ["0", "1"]]
 

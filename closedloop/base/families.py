@@ -191,12 +191,8 @@ class Family(Mapping[str, type[M]], Generic[M]):
 
     As an annotation of a key, ``reference: Annotated[Path, PATHS]``, it validates a section by its `kind`.
 
-    Parameters
-    ----------
-    base : type
-        What members are derived from; it has their folder.
-    usual : str, optional
-        The kind of a section that names none; without it a `kind` is required.
+    `base`: what members are derived from; it has their folder.
+    `usual`: the kind of a section that names none; without it a `kind` is required.
     """
 
     def __init__(self, base: type[M], usual: str | None = None) -> None:
@@ -334,12 +330,8 @@ class Family(Mapping[str, type[M]], Generic[M]):
 class OneOf:
     """The annotation of a key whose value is the name of a member without parameters, such as time.integrator.
 
-    Parameters
-    ----------
-    families : Family
-        Whose names it takes.
-    words : tuple of str
-        What else it may say.
+    `families`: whose names it takes.
+    `words`: what else it may say.
     """
 
     def __init__(self, *families: Family[Any], words: tuple[str, ...] = ()) -> None:

@@ -33,10 +33,7 @@ def possible() -> bool:
 class Beside(Generic[T]):
     """Work that is begun now in a second process, if that is possible.
 
-    Parameters
-    ----------
-    work : callable
-        Its result is pickled. What it prints and logs is dropped, and if it raises anything it is done again here.
+    `work`: its result is pickled. What it prints and logs is dropped, and if it raises anything it is done again here.
     """
 
     def __init__(self, work: Callable[[], T]) -> None:

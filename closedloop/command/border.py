@@ -34,10 +34,7 @@ class Left(Exception):
 class Parser(argparse.ArgumentParser):
     """A parser whose errors `run_command` turns into a line and a status.
 
-    Parameters
-    ----------
-    cure : str
-        What to say at the end of a refusal.
+    `cure`: what to say at the end of a refusal.
     """
 
     def __init__(self, *, cure: str = "see --help", **settings: object) -> None:

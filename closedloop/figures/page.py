@@ -22,10 +22,7 @@ GAP = 1.0
 class Page(Figure):
     """A figure that is laid out and saved with matplotlib's settings at the time at which it was made.
 
-    Parameters
-    ----------
-    settings : mapping of str
-        The names of these settings.
+    `settings`: the names of these settings.
     """
 
     def __init__(self, settings: Any, **more: Any) -> None:

@@ -77,13 +77,9 @@ class Count:
 class Layout:
     """Where each field of a block is, in order.
 
-    Parameters
-    ----------
-    sizes : sequence of str
-        Names of the sizes, in the order in which they are given later.
-    fields : sequence of (name, shape or class)
-        A shape is a tuple of numbers and `Count`s, () for a single number; a class is that of a block. The fields
-        follow each other.
+    `sizes`: names of the sizes, in the order in which they are given later.
+    `fields`, sequence of (name, shape or class): a shape is a tuple of numbers and `Count`s, () for a single number; a
+        class is that of a block. The fields follow each other.
     """
 
     def __init__(
@@ -169,12 +165,9 @@ when_made: "list[Callable[[type[Block]], None]]" = []
 class Block:
     """Base of all blocks; a subclass names its fields by annotations, see above.
 
-    Parameters
-    ----------
-    memory : (count(*sizes),) array, or (count(*sizes), ...) of arrays side by side
-        The array that the fields are views of.
-    sizes : int
-        Those that the class names, in order.
+    `memory`, (count(*sizes),) array, or (count(*sizes), ...) of arrays side by side: the array that the fields are
+        views of.
+    `sizes`: those that the class names, in order.
     """
 
     layout: ClassVar[Layout]

@@ -26,10 +26,7 @@ _MATH.__dict__["hypot"] = np.hypot
 class Twins:
     """Twins of functions: the same code with other globals, in which what these say is replaced, twins among it.
 
-    Parameters
-    ----------
-    replaced : callable
-        Returns what stands in place of a value.
+    `replaced`: returns what stands in place of a value.
     """
 
     def __init__(self, replaced: Callable[[Any], Any]) -> None:

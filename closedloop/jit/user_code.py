@@ -100,11 +100,8 @@ def _arguments_of(text: str, name: str) -> str:
 class of_users:  # a context; a class takes a fifth of the time of a function, and a start has several
     """Turn an exception in a user's member into a one-line error that names file and line.
 
-    Raises
-    ------
-    ScenarioError
-        With what was raised as its cause. An error of this package, and that of a member which ships, is raised as it
-        is.
+    Raises ScenarioError: with what was raised as its cause. An error of this package, and that of a member which ships,
+        is raised as it is.
     """
 
     __slots__ = ("_key", "_member")

@@ -162,10 +162,7 @@ class Picture:
 class Solids:
     """Shapes as triangles, of which the nearest is seen at each point of the picture.
 
-    Parameters
-    ----------
-    colour : three floats, optional
-        Of all, in place of their own.
+    `colour`: of all, in place of their own.
     """
 
     def __init__(

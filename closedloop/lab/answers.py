@@ -51,14 +51,9 @@ class Answer:
 class Answers:
     """Answers changes of one scenario.
 
-    Parameters
-    ----------
-    law : callable, optional
-        A user's law, see `closedloop.simulate`.
-    say : callable
-        Takes a line while something is compiled or takes long, and "" when it is done.
-    part : callable
-        Takes a `Run` until where it is, again and again, of one that takes long.
+    `law`: a user's law, see `closedloop.simulate`.
+    `say`: takes a line while something is compiled or takes long, and "" when it is done.
+    `part`: takes a `Run` until where it is, again and again, of one that takes long.
     """
 
     def __init__(

@@ -159,18 +159,11 @@ MOST_STEPS = 500
 class History:
     """The changes of a scenario, with undo and redo.
 
-    Parameters
-    ----------
-    base : Scenario
-        Where it began.
-    name : str
-        The scenario as the command line takes it: a shipped name, a file.
-    given : mapping
-        The overrides that `base` was read with, beside the name.
-    words : str
-        More words of the command line, such as ``--law my_laws:soft``.
-    now : callable
-        The time, s.
+    `base`: where it began.
+    `name`: the scenario as the command line takes it: a shipped name, a file.
+    `given`: the overrides that `base` was read with, beside the name.
+    `words`: more words of the command line, such as ``--law my_laws:soft``.
+    `now`: the time, s.
     """
 
     def __init__(

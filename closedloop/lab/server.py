@@ -49,19 +49,13 @@ SHARE, LONG = 20.0, 0.3
 class Newest(Generic[Q, A]):
     """A thread that computes the newest request.
 
-    Parameters
-    ----------
-    compute : callable
-        From a request to its answer; it runs in the thread.
-    show : callable
-        Takes each answer, in the thread. An answer is shown even if a newer request has come meanwhile, so that
+    `compute`: from a request to its answer; it runs in the thread.
+    `show`: takes each answer, in the thread. An answer is shown even if a newer request has come meanwhile, so that
         something moves while requests come faster than they are computed.
-    rest, most : float
-        Wait until no other request has come for `rest`, s, but no longer than `most` after the first that waits, or
-        `SHARE` times what the work took last: work that takes long leaves the time to others, and waits on if it takes
-        more than `LONG`.
-    held : callable
-        Whether something goes on that will bring another request. Then it does not rest.
+    `rest`, `most`: wait until no other request has come for `rest`, s, but no longer than `most` after the first that
+        waits, or `SHARE` times what the work took last: work that takes long leaves the time to others, and waits on if
+        it takes more than `LONG`.
+    `held`: whether something goes on that will bring another request. Then it does not rest.
     """
 
     def __init__(
@@ -254,24 +248,13 @@ class Client:
 class Server:
     """The lab's server: its page to those who name the token, and a socket below the same address.
 
-    Parameters
-    ----------
-    host, port
-        Where it listens; at the next free port if that one is taken.
-    token : str
-        What lets in.
-    page : callable
-        Returns the page, given the word (nonce) that its own scripts and styles carry.
-    opened, said, closed : callable
-        Called with a `Client` when its page opens, with it and what its page says, {} if that is no JSON object, and
-        when it is gone.
-    framed : bool
-        Whether the page may stand inside another one, as that of a notebook.
-
-    Raises
-    ------
-    OutputError
-        If it cannot listen there.
+    `host`, `port`: where it listens; at the next free port if that one is taken.
+    `token`: what lets in.
+    `page`: returns the page, given the word (nonce) that its own scripts and styles carry.
+    `opened`, `said`, `closed`: called with a `Client` when its page opens, with it and what its page says, {} if that
+        is no JSON object, and when it is gone.
+    `framed`: whether the page may stand inside another one, as that of a notebook.
+    Raises OutputError if it cannot listen there.
     """
 
     def __init__(

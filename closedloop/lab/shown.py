@@ -16,19 +16,10 @@ PATIENCE = 10.0
 class Shown:
     """The lab's page, open in any number of browsers; one that opens later is sent the newest message of each kind.
 
-    Parameters
-    ----------
-    title : str
-        The page's title until a message says another.
-    host, port : str and int
-        Where it listens; the next free port is taken if this one is in use.
-    run : callable, optional
-        Returns the message of the run for a page, by the part of the time and the columns that it has chosen.
-
-    Raises
-    ------
-    OutputError
-        If it cannot listen there.
+    `title`: the page's title until a message says another.
+    `host`, `port`: where it listens; the next free port is taken if this one is in use.
+    `run`: returns the message of the run for a page, by the part of the time and the columns that it has chosen.
+    Raises OutputError if it cannot listen there.
     """
 
     def __init__(

@@ -46,12 +46,8 @@ LOOKED_AT = 100
 class Variants:
     """A scenario and the keys that change from run to run.
 
-    Parameters
-    ----------
-    scenario : Scenario
-        What all runs have in common.
-    keys : sequence of str
-        Dotted keys, as `load_scenario` takes them.
+    `scenario`: what all runs have in common.
+    `keys`: dotted keys, as `load_scenario` takes them.
     """
 
     def __init__(self, scenario: Scenario, keys: Sequence[str]) -> None:

@@ -26,13 +26,8 @@ sections_of = itemgetter(*SECTIONS)
 class Watched:
     """A scenario that notes which of its sections are read, by what it is given to.
 
-    Parameters
-    ----------
-    scenario : Scenario
-    readers : mapping
-        By section, who has read it.
-    who : int
-        Who it is given to.
+    `readers`: by section, who has read it.
+    `who`: who it is given to.
     """
 
     def __init__(self, scenario: Scenario, readers: Mapping[str, set[int]], who: int) -> None:
@@ -113,12 +108,8 @@ class Parts:
     So a key of the scenario that changes becomes a change of the parts that follow from it, and all others are taken
     over: by a batch's next run, by a prepared problem with other values or from another start, by the next episode.
 
-    Parameters
-    ----------
-    makers : mapping
-        By the name of each part, in order, what makes it, of a scenario and of parts before it.
-    given : sequence of str
-        The names of parts that are given, see `turn_to`.
+    `makers`: by the name of each part, in order, what makes it, of a scenario and of parts before it.
+    `given`: the names of parts that are given, see `turn_to`.
     """
 
     def __init__(self, makers: Mapping[str, Maker], given: Sequence[str]) -> None:

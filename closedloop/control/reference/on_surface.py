@@ -82,15 +82,8 @@ class CarriedSegment(Segment):
 class Rolling:
     """The plane of a path that rolls along a surface.
 
-    Parameters
-    ----------
-    origin : (3,) array
-        Where the path begins, m, base frame; it keeps to the level of φ there.
-
-    Raises
-    ------
-    ScenarioError
-        If the surface has no normal there.
+    `origin` (3,): where the path begins, m, base frame; it keeps to the level of φ there.
+    Raises ScenarioError if the surface has no normal there.
     """
 
     def __init__(self, surface: PlacedSurface, origin: Array) -> None:

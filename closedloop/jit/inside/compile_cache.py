@@ -101,12 +101,8 @@ def import_array_functions() -> None:
 class KernelCache(_Cache):
     """The cache of one function: loads compiled code for numba's dispatcher, and saves it.
 
-    Parameters
-    ----------
-    function : callable
-        The Python function; its source must be a file.
-    identity : str
-        Of a function made inside another, what it was made from; by default a digest of its closure.
+    `function`: the Python function; its source must be a file.
+    `identity`: of a function made inside another, what it was made from; by default a digest of its closure.
     """
 
     def __init__(self, function: Callable[..., Any], identity: str = "") -> None:

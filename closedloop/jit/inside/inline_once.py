@@ -467,14 +467,9 @@ class NestedCompiler(CompilerBase):
 class NestedFunction(CPUDispatcher):
     """A function that compiled code calls without compiling it twice; called from Python it is an ordinary one.
 
-    Parameters
-    ----------
-    function : callable
-        The Python function.
-    options : dict
-        numba's options of it.
-    ordinary : callable
-        Makes what Python calls: the same function as numba would compile it by itself.
+    `function`: the Python function.
+    `options`: numba's options of it.
+    `ordinary`: makes what Python calls: the same function as numba would compile it by itself.
     """
 
     def __init__(self, function: Callable[..., Any], options: dict[str, Any], ordinary: Callable[..., Any]) -> None:

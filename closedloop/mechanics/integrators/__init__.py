@@ -27,30 +27,18 @@ ROUNDING = 1e-14
 class Scheme(Member):
     """Base of all schemes.
 
-    Attributes
-    ----------
-    order : int
-        Order of the global error on a smooth problem.
-    a : tuple of rows
-        Weights of the earlier stages in each stage's state; row s has s entries, whose sum is the stage's node.
-    b : tuple of float
-        Weights of the stages in the step, whose sum is one.
-    first : tuple of rows
-        Where states that decay take two exponentials one after the other (`closedloop.loop.step.advance`), the weights
-        of the first, the rows of `a` and then `b`; the second has the rest. Left out there is one: it has all, and
-        those states then are of order 2 at most.
-    semi_implicit : bool
-        Whether the position advances with the new velocity; such a scheme has one stage.
-    time_stepping : bool
-        Whether contacts are one problem of impulses in each step, without events.
-    source : str
-        Where the scheme is published.
-    nodes : tuple of float
-        Where in the step, as a share of h, each stage is evaluated: the sums of the rows of `a`.
-    stages : int
-        Evaluations of the equation of motion per step.
-    parts : int
-        Into how many equal parts the nodes cut a step.
+    `order`: order of the global error on a smooth problem.
+    `a`: weights of the earlier stages in each stage's state; row s has s entries, whose sum is the stage's node.
+    `b`: weights of the stages in the step, whose sum is one.
+    `first`: where states that decay take two exponentials one after the other (`closedloop.loop.step.advance`), the
+        weights of the first, the rows of `a` and then `b`; the second has the rest. Left out there is one: it has all,
+        and those states then are of order 2 at most.
+    `semi_implicit`: whether the position advances with the new velocity; such a scheme has one stage.
+    `time_stepping`: whether contacts are one problem of impulses in each step, without events.
+    `source`: where the scheme is published.
+    `nodes`: where in the step, as a share of h, each stage is evaluated: the sums of the rows of `a`.
+    `stages`: evaluations of the equation of motion per step.
+    `parts`: into how many equal parts the nodes cut a step.
     """
 
     folder: ClassVar[str] = "closedloop.mechanics.integrators"
@@ -68,10 +56,8 @@ class Scheme(Member):
     def __init_subclass__(cls) -> None:
         """Check the tableau.
 
-        Raises
-        ------
-        ValueError
-            If it is not that of an explicit scheme, or its nodes are no multiples of a 60th of the step or coarser.
+        Raises ValueError if it is not that of an explicit scheme, or its nodes are no multiples of a 60th of the step
+            or coarser.
         """
         super().__init_subclass__()
         if not hasattr(cls, "b"):

@@ -258,12 +258,8 @@ def in_order(columns: Iterable[str]) -> list[str]:
 class ColumnsOnDemand(Mapping[str, NDArray[Any]]):
     """Columns that are made when they are first asked for, each once; they are read-only.
 
-    Parameters
-    ----------
-    names : collection of str
-        Their names, in order.
-    make : callable
-        Makes the column of a name; it is let go when all are made.
+    `names`: their names, in order.
+    `make`: makes the column of a name; it is let go when all are made.
     """
 
     def __init__(self, names: Mapping[str, Any], make: Callable[[str], NDArray[Any]]) -> None:

@@ -102,10 +102,7 @@ STEP_Q, STEP_V, STEP_FORCE, STEP_TORQUE = 1e-4, 1e-3, 1e-2, 1e-2
 class Reduced:
     """The derivatives at an instant, by the coordinates that the closure leaves free, and by the inputs.
 
-    Parameters
-    ----------
-    free : bool
-        Whether it may be in flight.
+    `free`: whether it may be in flight.
     """
 
     def __init__(self, problem: Problem, instant: Instant, free: bool) -> None:

@@ -127,18 +127,9 @@ def _rows(problem: Problem, instant: Instant, frequency: float) -> int:
 class Stability:
     """The loops of a scenario with other numbers, about one motion.
 
-    Parameters
-    ----------
-    scenario : Scenario
-    at : float, optional
-        The instant, s; half of the duration if left out.
-    model : RobotModel, optional
-        The robot to use instead of loading `scenario.robot.model`.
-
-    Raises
-    ------
-    ClosedLoopError
-        As `linearise`.
+    `at`: the instant, s; half of the duration if left out.
+    `model`: the robot to use instead of loading `scenario.robot.model`.
+    Raises ClosedLoopError as `linearise`.
     """
 
     def __init__(self, scenario: Scenario, at: float | None = None, *, model: RobotModel | None = None) -> None:

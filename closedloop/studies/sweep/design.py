@@ -173,16 +173,10 @@ MOST_LATIN = 1_000_000
 class Design(Sequence[tuple[Any, ...]]):
     """The values of the axes' keys for every run.
 
-    Parameters
-    ----------
-    axes : sequence of Axis
-    kind : "grid", "random" or "latin"
-        Every value with every other, the last axis fastest; independent draws, even along each axis; or draws of which
-        each axis has exactly one in each of `count` equal intervals (McKay, Beckman and Conover 1979).
-    count : int, optional
-        Number of draws.
-    seed : int
-        Of the draws.
+    `kind`: every value with every other, the last axis fastest; independent draws, even along each axis; or draws of
+        which each axis has exactly one in each of `count` equal intervals (McKay, Beckman and Conover 1979).
+    `count`: number of draws.
+    `seed`: of the draws.
     """
 
     def __init__(self, axes: Sequence[Axis], kind: str = GRID, count: int = 0, seed: int = 0) -> None:

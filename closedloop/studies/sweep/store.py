@@ -185,19 +185,10 @@ def occupied(out: Path, why: str) -> OccupiedError:
 class Store:
     """The folder of a sweep's parts; used as a context, which holds the lock.
 
-    Parameters
-    ----------
-    identity : dict
-        What the sweep is, see `closedloop.studies.sweep.sweep.Sweep.identity`.
-    out : Path
-        The table that the parts will become.
-    overwrite : bool
-        Whether the parts of another sweep are removed.
-
-    Raises
-    ------
-    OutputError
-        If the folder cannot be written, is another sweep's, or is being written by another process.
+    `identity`: what the sweep is, see `closedloop.studies.sweep.sweep.Sweep.identity`.
+    `out`: the table that the parts will become.
+    `overwrite`: whether the parts of another sweep are removed.
+    Raises OutputError if the folder cannot be written, is another sweep's, or is being written by another process.
     """
 
     def __init__(self, identity: dict[str, Any], out: Path, overwrite: bool = False) -> None:

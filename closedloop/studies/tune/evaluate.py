@@ -170,18 +170,11 @@ NAMES_OF_ALL = NAMES | {"vary": "list of ranges", "names": "list of values", "ov
 class Runs:
     """Evaluates points of a tuning; see `closedloop.studies.tune.search.Evaluate`.
 
-    Parameters
-    ----------
-    some : sequence of Varied
-        What varies.
-    minimise : mapping of str to float
-        Values of the summary and their weights: their weighted sum is minimised.
-    over : mapping of str to sequence
-        Variations, every value of a key with every value of the others.
-    kept : Path, optional
-        File of what has been run.
-    report : callable
-        Gets the number of runs done.
+    `some`: what varies.
+    `minimise`: values of the summary and their weights: their weighted sum is minimised.
+    `over`: variations, every value of a key with every value of the others.
+    `kept`: file of what has been run.
+    `report`: gets the number of runs done.
     """
 
     def __init__(

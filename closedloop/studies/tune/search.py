@@ -63,15 +63,9 @@ class Found:
 class Search:
     """A search; it remembers every point.
 
-    Parameters
-    ----------
-    evaluate : callable
-        See `Evaluate`.
-    n : int
-        Numbers that vary.
-    robust : "worst" or "mean"
-    iterations : int
-        Largest number of iterations of each start.
+    `evaluate`: see `Evaluate`.
+    `n`: numbers that vary.
+    `iterations`: largest number of iterations of each start.
     """
 
     def __init__(self, evaluate: Evaluate, n: int, robust: str = WORST, iterations: int = 60) -> None:

@@ -418,13 +418,7 @@ def _parser() -> Parser:
     engines = ("pinocchio", "compiled")
     add("--engine", choices=engines, metavar="ENGINE", help="source of H, C, r, J: pinocchio (default), compiled")
     add("--law", metavar="MODULE:NAME", help="law(x) or law(t, q, v, terms) of your own as the law")
-    add(
-        "--record",
-        action="append",
-        default=[],
-        metavar="MODULE:NAME",
-        help="column: wrench:JOINT[@FRAME], contact:NAME, or own",
-    )
+    parser.options({"--record MODULE:NAME ...": "column: wrench:JOINT[@FRAME], contact:NAME, or own"})
     return parser
 
 

@@ -35,15 +35,15 @@ def main(words: list[str]) -> int:
         cure="such as: closedloop analyse wam_hybrid_friction --at 3",
     )
     parser.add_argument("scenario", help="a scenario that ships, or a .toml; --SECTION.KEY VALUE changes it")
-    parser.add_argument("--at", type=float, metavar="T", help="the instant, s (default: half of the duration)")
-    parser.add_argument("--out", metavar="DIR", help="where figures and analysis.json go (default: none are written)")
-    parser.add_argument("--json", action="store_true", help="print analysis.json instead")
-    parser.add_argument(
-        "--vary", action="append", default=[], metavar="KEY=RANGE",
-        help="a key and its range, such as compliance.stiffness=log:1e2:1e7 or law.force_integral=0:80:40: the limits "
-        "in it are solved for; given twice, the boundary over both",
-    )  # fmt: skip
-    parser.add_argument("--no-runs", action="store_true", help="do not try whole runs beside the limits")
+    table = {
+        "--at T": "the instant, s (default: half of the duration)",
+        "--out DIR": "where figures and analysis.json go (default: none are written)",
+        "--json": "print analysis.json instead",
+        "--vary KEY=RANGE ...": "a key and its range, such as compliance.stiffness=log:1e2:1e7 or "
+        "law.force_integral=0:80:40: the limits in it are solved for; given twice, the boundary over both",
+        "--no-runs": "do not try whole runs beside the limits",
+    }
+    parser.options(table, at=float)
     add_figure_options(parser)
     options, overrides = parsed(parser, words)
     formats_of(options)

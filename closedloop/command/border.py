@@ -16,10 +16,10 @@ import os
 import signal
 import sys
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from functools import wraps
-from typing import NoReturn
+from typing import Any, NoReturn
 
 from closedloop.base import errors
 from closedloop.base.interrupts import INTERRUPTED, as_exceptions, exit_status, terminable, word_for
@@ -40,6 +40,23 @@ class Parser(argparse.ArgumentParser):
     def __init__(self, *, cure: str = "see --help", **settings: object) -> None:
         super().__init__(**settings, allow_abbrev=False)  # type: ignore[arg-type]
         self._cure = cure
+
+    def options(self, table: Mapping[str, str], **values: Any) -> None:
+        """Add options, each as it is typed and with its help: `--json`, `--out DIR`, `--over KEY=VALUES ...` to repeat.
+
+        `values`: by the name of an option its default, or the type of what is given where there is no default.
+        """
+        for typed, text in table.items():
+            name, *value = typed.split(" ")
+            usual = values.get(name[2:].replace("-", "_"))
+            kind = usual if isinstance(usual, type) or callable(usual) else str if usual is None else type(usual)
+            usual = None if kind is usual else usual
+            if not value:
+                self.add_argument(name, action="store_true", help=text)
+            elif value[1:]:
+                self.add_argument(name, action="append", default=[], metavar=value[0], type=kind, help=text)
+            else:
+                self.add_argument(name, metavar=value[0], type=kind, default=usual, help=text)
 
     def error(self, message: str) -> NoReturn:
         """Refuse the arguments."""

@@ -25,16 +25,17 @@ def main(words: list[str]) -> int:
         "log", metavar="LOG", help=".csv, .parquet, .nc, .mcap, rosbag2, or a run.nc; force or speed alone will do"
     )
     parser.add_argument("--scenario", required=True, help="a scenario that ships, or a .toml")
-    parser.add_argument(
-        "--columns", action="append", default=[], type=mapped, metavar="WHAT=NAME",
-        help="columns of time, q, torque ({} for the joint), force (one, or three with commas), speed; repeat it",
-    )  # fmt: skip
-    parser.add_argument("--degrees", action="store_true", help="angles of the log are in degrees")
-    parser.add_argument("--gain", type=float, default=1.0, metavar="N", help="factor of the log's torques")
-    parser.add_argument("--shift", type=float, metavar="S", help="the instant of the log at which the run begins, s")
-    parser.add_argument("--cutoff", type=float, metavar="HZ", help="cut-off of the filters in the audit of the force")
-    parser.add_argument("--out", metavar="DIR", help="where comparison.json and comparison.svg go (default: nowhere)")
-    parser.add_argument("--json", action="store_true", help="print the comparison as JSON")
+    table = {
+        "--columns WHAT=NAME ...": "columns of time, q, torque ({} for the joint), force (one, or three with commas), "
+        "speed; repeat it",
+        "--degrees": "angles of the log are in degrees",
+        "--gain N": "factor of the log's torques",
+        "--shift S": "the instant of the log at which the run begins, s",
+        "--cutoff HZ": "cut-off of the filters in the audit of the force",
+        "--out DIR": "where comparison.json and comparison.svg go (default: nowhere)",
+        "--json": "print the comparison as JSON",
+    }
+    parser.options(table, columns=mapped, gain=1.0, shift=float, cutoff=float)
     options, overrides = parsed(parser, words)
     folder = made_folder(options.out) if options.out else None
 

@@ -37,25 +37,16 @@ def _parser() -> Parser:
     )
     parser.add_argument("--robot", required=True, metavar="NAME|FILE", help="a robot, a URDF or an MJCF")
     parser.add_argument("--for", dest="target", default="", metavar="P,...", help="base parameters (default: all)")
-    parser.add_argument(
-        "--duration", type=float, default=10.0, metavar="S", help="duration of the motion, s (default: 10)"
-    )
-    parser.add_argument(
-        "--harmonics", type=int, default=5, metavar="N", help="harmonics of its Fourier series (default: 5)"
-    )
-    parser.add_argument(
-        "--rate", type=float, default=100.0, metavar="HZ", help="sampling rate of the log (default: 100)"
-    )
-    parser.add_argument(
-        "--noise",
-        metavar="N,...",
-        help="noise of the torques, N m, one or one for each joint (default: a hundredth of the effort limit)",
-    )
-    parser.add_argument(
-        "--acceleration",
-        metavar="A,...",
-        help="largest acceleration, rad/s², one or one for each joint (default: top speed in 0.25 s)",
-    )
+    table = {
+        "--duration S": "duration of the motion, s (default: 10)",
+        "--harmonics N": "harmonics of its Fourier series (default: 5)",
+        "--rate HZ": "sampling rate of the log (default: 100)",
+        "--noise N,...": "noise of the torques, N m, one or one for each joint (default: a hundredth of the effort "
+        "limit)",
+        "--acceleration A,...": "largest acceleration, rad/s², one or one for each joint (default: top speed in "
+        "0.25 s)",
+    }
+    parser.options(table, duration=10.0, harmonics=5, rate=100.0)
     parser.add_argument("--share", type=float, default=0.9, help="share of the limits that is used (default: 0.9)")
     parser.add_argument("--seed", type=int, default=0, help="seed of the initial motions of the search")
     parser.add_argument("--out", metavar="DIR", default="out/excite", help="where results go (default: out/excite)")

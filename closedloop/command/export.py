@@ -32,12 +32,10 @@ def main(arguments: list[str]) -> int:
     )
     parser.add_argument("run", help="a run.nc")
     parser.add_argument(
-        "--to",
-        required=True,
-        choices=tuple(FORMATS),
+        "--to", required=True, choices=tuple(FORMATS),
         help="csv, parquet: a table; mat: arrays for MATLAB; h5: HDF5; mcap, rosbag2: ROS 2 messages, as a file or a "
         "bag; mjcf: the scene, for MuJoCo; gif, mp4: a film; html: a page with the arm in space",
-    )
+    )  # fmt: skip
     parser.add_argument("--out", metavar="FILE", help="the file (default: beside run.nc, under its name)")
     parser.add_argument("--overwrite", action="store_true", help="replace a file that is there")
     options = parser.parse_args(arguments)

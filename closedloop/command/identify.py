@@ -96,39 +96,26 @@ def _parser() -> Parser:
     parser.add_argument(
         "--robot", required=True, metavar="NAME|FILE", help="its kinematics: a robot, a URDF or an MJCF"
     )
-    parser.add_argument("--out", metavar="DIR", default="out/identify", help="where results go (default: out/identify)")
-    parser.add_argument(
-        "--columns", action="append", default=[], type=mapped, metavar="WHAT=NAME",
-        help="columns of time, q, v, torque, {} for the joint: torque='effort_{}'; or a list; repeat it for each",
+    table = {
+        "--out DIR": "where results go (default: out/identify)",
+        "--columns WHAT=NAME ...": "columns of time, q, v, torque, {} for the joint: torque='effort_{}'; or a list; "
+        "repeat it for each",
+        "--degrees": "angles of the log are in degrees",
+        "--gain N,...": "factor of the torques, one or one for each joint",
+        "--terms TERMS": f"of {', '.join(TERMS)}",
+        "--coupled A,B ...": "two joints whose second motor turns with both, such as the wrist of a Staeubli TX",
+        "--contact NX,NY,NZ": "find friction, stiffness, damping, restitution and the force sensor instead, of a tip "
+        "on a plane with this normal (of a run.nc its own); the log has the force too: one column along the normal, or "
+        "three",
+        "--delay S": "delay of the force behind the motion, if known (--contact)",
+        "--cutoff HZ": "cut-off of the low-pass filter (default: ten times the motion's)",
+        "--slow SHARE": "share of a joint's top speed below which torques are not used",
+        "--held-out SHARE": "share of the log that is kept to test the result",
+    }
+    parser.options(
+        table, out="out/identify", columns=mapped, gain="1", terms="viscous,dry,offset,drive_inertia", coupled=_pair,
+        delay=float, cutoff=float, slow=0.01, held_out=0.25,
     )  # fmt: skip
-    parser.add_argument("--degrees", action="store_true", help="angles of the log are in degrees")
-    parser.add_argument("--gain", default="1", metavar="N,...", help="factor of the torques, one or one for each joint")
-    parser.add_argument("--terms", default="viscous,dry,offset,drive_inertia", help=f"of {', '.join(TERMS)}")
-    parser.add_argument(
-        "--coupled", action="append", default=[], type=_pair, metavar="A,B",
-        help="two joints whose second motor turns with both, such as the wrist of a Staeubli TX",
-    )  # fmt: skip
-    parser.add_argument(
-        "--contact", metavar="NX,NY,NZ",
-        help="find friction, stiffness, damping, restitution and the force sensor instead, of a tip on a plane with "
-        "this normal (of a run.nc its own); the log has the force too: one column along the normal, or three",
-    )  # fmt: skip
-    parser.add_argument(
-        "--delay", type=float, metavar="S", help="delay of the force behind the motion, if known (--contact)"
-    )
-    parser.add_argument(
-        "--cutoff", type=float, metavar="HZ", help="cut-off of the low-pass filter (default: ten times the motion's)"
-    )
-    parser.add_argument(
-        "--slow",
-        type=float,
-        default=0.01,
-        metavar="SHARE",
-        help="share of a joint's top speed below which torques are not used",
-    )
-    parser.add_argument(
-        "--held-out", type=float, default=0.25, metavar="SHARE", help="share of the log that is kept to test the result"
-    )
     parser.add_argument("--method", choices=("ls", "iv"), default="ls", help="least squares, or instrumental variables")
     return parser
 

@@ -114,13 +114,14 @@ def _parser() -> Parser:
     add("--as", dest="interface", choices=tuple(INTERFACES), default="json", metavar="INTERFACE",
         help="json: our own messages, JSON or binary (default); franka: the interface of Franka's arms; "
         "ur: the data exchange of Universal Robots' arms")  # fmt: skip
-    add("--lock-step", action="store_true", help="time goes on with each command, not with the wall clock")
-    add("--host", default="127.0.0.1", help="address to listen on (default: this computer alone)")
-    add("--port", type=int, help="first port (default: json any, franka 1337 and 1338, ur 30004)")
-    add("--limits", action="store_true", help="limits and lost commands end a motion as on the real arm (franka)")
-    add(
-        "--lab", action="store_true", help="show the run in the browser while it goes on, at an address that is printed"
-    )
-    add("--out", metavar="DIR", help="where the run goes (default: out/SCENARIO, -2 ...)")
-    add("--overwrite", action="store_true", help="replace results of another scenario in that folder")
+    table = {
+        "--lock-step": "time goes on with each command, not with the wall clock",
+        "--host HOST": "address to listen on (default: this computer alone)",
+        "--port PORT": "first port (default: json any, franka 1337 and 1338, ur 30004)",
+        "--limits": "limits and lost commands end a motion as on the real arm (franka)",
+        "--lab": "show the run in the browser while it goes on, at an address that is printed",
+        "--out DIR": "where the run goes (default: out/SCENARIO, -2 ...)",
+        "--overwrite": "replace results of another scenario in that folder",
+    }
+    parser.options(table, host="127.0.0.1", port=int)
     return parser

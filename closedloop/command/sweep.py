@@ -178,33 +178,31 @@ def _sweep_parser() -> Parser:
         "a run did not end or has a bad verdict, 5 with --strict, all verdicts are good but\n"
         "one of a control; 130 Ctrl-C, 143 SIGTERM",
     )
-    add = parser.add_argument
-    add("scenario", metavar="SCENARIO", help="a shipped name, or a .toml file")
-    add(
-        "--over",
-        metavar="KEY=VALUES",
-        action="append",
-        default=[],
-        help="a key and its values, once for each key; several make a grid: law.force=5:15:101 (from, to, how many), "
-        "log:1e-4:1e-2:20, rk4,explicit_euler",
+    parser.add_argument("scenario", metavar="SCENARIO", help="a shipped name, or a .toml file")
+    over = (
+        "a key and its values, once for each key; several make a grid: law.force=5:15:101 (from, to, how many), "
+        "log:1e-4:1e-2:20, rk4,explicit_euler"
     )
+    parser.options({"--over KEY=VALUES ...": over})
     drawn = parser.add_mutually_exclusive_group()
     number = {"type": int, "metavar": "N"}
     drawn.add_argument("--random", **number, help="draw N runs from the ranges instead of a grid")  # type: ignore[arg-type]
     drawn.add_argument("--latin", **number, help="draw a Latin hypercube of N runs")  # type: ignore[arg-type]
-    add("--seed", type=int, default=0, metavar="N", help="seed of the draws (default 0)")
-    add("--out", metavar="FILE", help="the .parquet file (default: out/SCENARIO/sweep.parquet)")
-    add("--overwrite", action="store_true", help="replace another sweep in that file")
-    add(
-        "--keep", metavar="COLUMNS", action="append", default=[],
-        help="keep columns of every run, such as f,e, in a .nc beside it",
-    )  # fmt: skip
-    add("--engine", choices=ENGINES, default=COMPILED, help="default compiled; pinocchio runs on one core")
-    add("--law", metavar="MODULE:NAME", help="law(x) or law(t, q, v, terms) of your own, in every run")
-    add("--workers", type=int, metavar="N", help="threads (default: one for each core)")
-    add("--strict", action="store_true", help="status 4 if a run did not end well")
-    add("--debug", action="store_true", help="print the traceback of an unforeseen error")
-    add("--scheduler", metavar="ADDRESS", help="a Dask cluster, such as tcp://host:8786")
+    parser.add_argument(
+        "--engine", choices=ENGINES, default=COMPILED, help="default compiled; pinocchio runs on one core"
+    )
+    table = {
+        "--seed N": "seed of the draws (default 0)",
+        "--out FILE": "the .parquet file (default: out/SCENARIO/sweep.parquet)",
+        "--overwrite": "replace another sweep in that file",
+        "--keep COLUMNS ...": "keep columns of every run, such as f,e, in a .nc beside it",
+        "--law MODULE:NAME": "law(x) or law(t, q, v, terms) of your own, in every run",
+        "--workers N": "threads (default: one for each core)",
+        "--strict": "status 4 if a run did not end well",
+        "--debug": "print the traceback of an unforeseen error",
+        "--scheduler ADDRESS": "a Dask cluster, such as tcp://host:8786",
+    }
+    parser.options(table, seed=0, workers=int)
     return parser
 
 
@@ -214,18 +212,13 @@ def _plot(arguments: list[str]) -> int:
 
     parser = Parser(prog="closedloop sweep plot", description="Draw maps of a sweep's table.")
     parser.add_argument("table", help="the .parquet file of a sweep")
-    parser.add_argument(
-        "--of",
-        metavar="FIGURES",
-        action="append",
-        default=[],
-        help="columns to draw: min_contact_force,rms_path_error ...",
-    )
-    parser.add_argument("--x", metavar="KEY", help="key along the horizontal axis (default: the first)")
-    parser.add_argument("--y", metavar="KEY", help="key along the vertical axis (default: the second, if there is one)")
-    parser.add_argument(
-        "--out", metavar="FILE", help="the figure, .png, .svg or .pdf (default: the table's name with .png)"
-    )
+    table = {
+        "--of FIGURES ...": "columns to draw: min_contact_force,rms_path_error ...",
+        "--x KEY": "key along the horizontal axis (default: the first)",
+        "--y KEY": "key along the vertical axis (default: the second, if there is one)",
+        "--out FILE": "the figure, .png, .svg or .pdf (default: the table's name with .png)",
+    }
+    parser.options(table)
     add_figure_options(parser, formats=False)
     options = parser.parse_args(arguments)
     from closedloop.studies.sweep.maps import sweep_plot

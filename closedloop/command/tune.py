@@ -52,32 +52,24 @@ def _parser() -> Parser:
         cure="such as: closedloop tune wam_slide --vary law.kd=5:200 --minimise rms_force_error",
     )
     parser.add_argument("scenario", help="a scenario that ships, or a .toml; --SECTION.KEY VALUE changes it")
-    parser.add_argument(
-        "--vary", action="append", default=[], metavar="KEY=LOW:HIGH",
-        help="what varies and its range, such as law.kd=5:200, law.kp[1]=log:100:3000; of a list each entry by itself",
-    )  # fmt: skip
+    vary = "what varies and its range, such as law.kd=5:200, law.kp[1]=log:100:3000; of a list each entry by itself"
+    parser.options({"--vary KEY=LOW:HIGH ...": vary})
     parser.add_argument(
         "--minimise", "--minimize", action="append", default=[], metavar="[WEIGHT*]NAME",
         help="a value of the summary (default: rms_force_error); given several times, the weighted sum",
     )  # fmt: skip
     parser.add_argument(
-        "--subject-to", action="append", default=[], metavar="NAME<=NUMBER",
-        help="a constraint, such as 'peak_contact_force<=12' or 'modulus_margin@3>=0.5'",
-    )  # fmt: skip
-    parser.add_argument(
-        "--over", action="append", default=[], metavar="KEY=VALUES",
-        help="variations under which constraints hold, such as friction.coefficient=0.2,0.4,0.6",
-    )  # fmt: skip
-    parser.add_argument(
         "--robust", choices=("worst", "mean"), default="worst", help="minimise the worst or the mean of all variations"
     )
-    parser.add_argument("--starts", type=int, default=4, metavar="N", help="searches from different points (4)")
-    parser.add_argument("--seed", type=int, default=0, metavar="N", help="seed of these points (0)")
-    parser.add_argument(
-        "--out", metavar="DIR",
-        help="where tuned.toml, tune.json and a figure go; an interrupted tuning continues from its runs.jsonl",
-    )  # fmt: skip
-    parser.add_argument("--json", action="store_true", help="print the report as JSON")
+    table = {
+        "--subject-to NAME<=NUMBER ...": "a constraint, such as 'peak_contact_force<=12' or 'modulus_margin@3>=0.5'",
+        "--over KEY=VALUES ...": "variations under which constraints hold, such as friction.coefficient=0.2,0.4,0.6",
+        "--starts N": "searches from different points (4)",
+        "--seed N": "seed of these points (0)",
+        "--out DIR": "where tuned.toml, tune.json and a figure go; an interrupted tuning continues from its runs.jsonl",
+        "--json": "print the report as JSON",
+    }
+    parser.options(table, starts=4, seed=0)
     return parser
 
 

@@ -87,12 +87,9 @@ def as_command(
 
 
 def run_command(
-    name: str,
-    main: Callable[[list[str]], int],
-    arguments: Sequence[str] | None = None,
-    *,
+    name: str, main: Callable[[list[str]], int], arguments: Sequence[str] | None = None, *,
     stopped: tuple[type[errors.ClosedLoopError], ...] = (errors.SimulationError, errors.ClusterError),
-) -> int:
+) -> int:  # fmt: skip
     """Run a command and return its exit status, with all exceptions and output errors handled.
 
     `name`: what its lines on standard error begin with.

@@ -311,14 +311,9 @@ def _scenarios(robot: Robot, name: str, force: float, postures: list[Posture], f
 
 
 def _with_gains(
-    robot: Robot,
-    name: str,
-    force: float,
-    q: Array,
-    direction: tuple[float, ...] | None,
-    speed: float,
+    robot: Robot, name: str, force: float, q: Array, direction: tuple[float, ...] | None, speed: float,
     normal: tuple[float, float, float] = LEVEL,
-) -> Scenario:
+) -> Scenario:  # fmt: skip
     """Return the scenario with gains that the step carries: a frequency times the inertia of each joint."""
     H = robot.terms(q, np.zeros(robot.n)).mass_matrix
     inertia = np.diag(H)

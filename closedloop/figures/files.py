@@ -103,11 +103,9 @@ PAPERS = ("wam_slide", "wam_slide_unstabilised")
 
 
 def draw_figures(
-    run: Run,
-    folder: str | Path,
-    unstabilised: Run | Callable[[], Run | Images | None] | None = None,
+    run: Run, folder: str | Path, unstabilised: Run | Callable[[], Run | Images | None] | None = None,
     formats: Sequence[str] = IMAGES,
-) -> list[Path]:
+) -> list[Path]:  # fmt: skip
     """Write the figures of a run into `folder`, each as PNG and SVG, and return the paths of the PNGs.
 
     Every run has its tip position, contact force, closure error, the errors that force control is about, and its

@@ -274,15 +274,9 @@ LABEL_INCHES, LABEL_HEIGHT, LABEL_POINTS = 1.12, 0.11, 14.0
 
 
 def dress(
-    axes: Axes,
-    run: Run,
-    title: str,
-    label: str,
-    *,
-    label_marks: bool = True,
-    show_events: bool = True,
+    axes: Axes, run: Run, title: str, label: str, *, label_marks: bool = True, show_events: bool = True,
     rows: slice = slice(None),
-) -> None:
+) -> None:  # fmt: skip
     """Give a panel over the time of these rows its title, axes, marks, bands and events.
 
     `title`: the robot's name is added where marks are labelled.

@@ -45,17 +45,11 @@ class Interim:
     """
 
     def __init__(
-        self,
-        function: Callable[..., Any],
-        written: Sequence[NDArray[Any]],
-        calls: int,
-        with_it: Sequence[Callable[..., Any]] = (),
-        on_compiled: Callable[[], None] = lambda: None,
-        later: Sequence[Callable[..., Any]] = (),
-        called: Sequence[Callable[..., Any]] = (),
-        on_called_compiled: Callable[[], None] = lambda: None,
-        share_done: Callable[[], float] | None = None,
-    ) -> None:
+        self, function: Callable[..., Any], written: Sequence[NDArray[Any]], calls: int,
+        with_it: Sequence[Callable[..., Any]] = (), on_compiled: Callable[[], None] = lambda: None,
+        later: Sequence[Callable[..., Any]] = (), called: Sequence[Callable[..., Any]] = (),
+        on_called_compiled: Callable[[], None] = lambda: None, share_done: Callable[[], float] | None = None,
+    ) -> None:  # fmt: skip
         self._function, self._twin, self._written = function, interpreted(function), written
         self._calls, self._with_it = calls, (function, *with_it)
         self._later = later

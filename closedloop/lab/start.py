@@ -32,17 +32,10 @@ LONGEST = 600.0  # s that a first run may take, with what is compiled for it
 
 @arguments_checked()
 def lab(
-    scenario: Scenario | Run | str | Path | None = None,
-    overrides: Mapping[str, Any] | None = None,
-    *,
-    law: type[ControlLaw] | Callable[..., Any] | None = None,
-    model: RobotModel | None = None,
-    host: str = "127.0.0.1",
-    port: int = 8080,
-    dark: bool = False,
-    show: bool = True,
-    ghosts: Sequence[Ghost] = (),
-) -> Lab:
+    scenario: Scenario | Run | str | Path | None = None, overrides: Mapping[str, Any] | None = None, *,
+    law: type[ControlLaw] | Callable[..., Any] | None = None, model: RobotModel | None = None, host: str = "127.0.0.1",
+    port: int = 8080, dark: bool = False, show: bool = True, ghosts: Sequence[Ghost] = (),
+) -> Lab:  # fmt: skip
     """Open the lab and return it when its first run is there; `close()` ends it.
 
     In a notebook it is shown below the cell; in a script a browser is opened.

@@ -88,16 +88,10 @@ class Served:
 
 @arguments_checked(overrides="keys and their values, such as {'law.force': 15.0}")
 def serve(
-    scenario: Scenario | str | Path,
-    as_: str = "json",
-    *,
-    overrides: Mapping[str, Any] | None = None,
-    lock_step: bool = False,
-    host: str = "127.0.0.1",
-    port: int | None = None,
-    limits: bool = False,
+    scenario: Scenario | str | Path, as_: str = "json", *, overrides: Mapping[str, Any] | None = None,
+    lock_step: bool = False, host: str = "127.0.0.1", port: int | None = None, limits: bool = False,
     say: Say | None = None,
-) -> Served:
+) -> Served:  # fmt: skip
     """Serve a scenario to a controller that is another program, until `close` of what is returned.
 
     The record is a run like any other. With the interface "json" it has the scenario's duration, and `reset` begins it

@@ -51,17 +51,9 @@ _runs = count(1)
 
 
 def as_run(
-    problem: Problem,
-    rows: Array,
-    events: Array,
-    seconds: float,
-    engine: str,
-    *,
-    law: tuple[str, str] = ("scenario", ""),
-    with_states: bool = True,
-    stopped: str | None = None,
-    first: int = 0,
-) -> Run:
+    problem: Problem, rows: Array, events: Array, seconds: float, engine: str, *,
+    law: tuple[str, str] = ("scenario", ""), with_states: bool = True, stopped: str | None = None, first: int = 0,
+) -> Run:  # fmt: skip
     """Return the rows and events of a problem, see `run_loop`, as a run; the rest as in `Run`.
 
     `law` is the name and the digest of what drove it, `with_states` whether the rows have the states of the scenario's,
@@ -163,14 +155,9 @@ def law_name(law: Law) -> str:
 
 @arguments_checked(record="a function of the run, or (function, unit), by the name of its column")
 def simulate(
-    scenario: Scenario,
-    *,
-    law: Law | None = None,
-    model: RobotModel | None = None,
-    progress: bool | Callable[[int, int], None] = False,
-    engine: str = PINOCCHIO,
-    record: Recorded | None = None,
-) -> Run:
+    scenario: Scenario, *, law: Law | None = None, model: RobotModel | None = None,
+    progress: bool | Callable[[int, int], None] = False, engine: str = PINOCCHIO, record: Recorded | None = None,
+) -> Run:  # fmt: skip
     """Simulate a scenario.
 
     If the loop is not compiled yet, the run may start interpreted while the loop is compiled in the background
@@ -307,16 +294,10 @@ def _silent(done: int, total: int) -> None:
 
 
 def run_loop(
-    problem: Problem,
-    law: Law | None = None,
-    report: Callable[[int, int], None] = _silent,
-    engine: str = PINOCCHIO,
-    *,
-    rows: Array | None = None,
-    tree: tuple[Tree, Array] | None = None,
-    interim: bool = False,
+    problem: Problem, law: Law | None = None, report: Callable[[int, int], None] = _silent, engine: str = PINOCCHIO, *,
+    rows: Array | None = None, tree: tuple[Tree, Array] | None = None, interim: bool = False,
     keep_interrupted: bool = False,
-) -> tuple[Array, Array, SimulationError | None, float]:
+) -> tuple[Array, Array, SimulationError | None, float]:  # fmt: skip
     """Step the problem.
 
     Parameters
@@ -418,13 +399,9 @@ def half_step(scenario: Scenario) -> Scenario:
 
 @arguments_checked()
 def halve(
-    scenario: Scenario,
-    *,
-    law: Law | None = None,
-    model: RobotModel | None = None,
-    progress: bool | Callable[[int, int], None] = False,
-    engine: str = PINOCCHIO,
-) -> Run:
+    scenario: Scenario, *, law: Law | None = None, model: RobotModel | None = None,
+    progress: bool | Callable[[int, int], None] = False, engine: str = PINOCCHIO,
+) -> Run:  # fmt: skip
     """Simulate a scenario as `simulate` does, and again at half its step; return the first run, with the comparison.
 
     The run's ``halved``, which is in its summary, its report and its file, says by how much each value and each main
@@ -454,13 +431,9 @@ def halve(
 
 
 def beside_half(
-    run: Run,
-    *,
-    law: Law | None = None,
-    model: RobotModel | None = None,
-    progress: bool | Callable[[int, int], None] = False,
-    engine: str | None = None,
-) -> Run:
+    run: Run, *, law: Law | None = None, model: RobotModel | None = None,
+    progress: bool | Callable[[int, int], None] = False, engine: str | None = None,
+) -> Run:  # fmt: skip
     """Simulate what a run is of again, at half the step, and return the run with the comparison; see `halve`.
 
     Without an `engine` it is the compiled one where it can run this and is compiled already, else the run's own: they

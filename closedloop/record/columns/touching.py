@@ -123,15 +123,9 @@ def placed_frame(mechanism: Any, name: str) -> tuple[int, Array, Array]:
 
 
 def contact_torques(
-    scenario: Scenario,
-    mechanism: Any,
-    times: Array,
-    q: Array,
-    forces: Array,
-    frictions: Array,
-    rolling: Array | None = None,
-    pivoting: Array | None = None,
-) -> Array:
+    scenario: Scenario, mechanism: Any, times: Array, q: Array, forces: Array, frictions: Array,
+    rolling: Array | None = None, pivoting: Array | None = None,
+) -> Array:  # fmt: skip
     """Return the torques of the k contacts of a scenario's links on the joints in N rows, (N, n), N m (N).
 
     `times` (N,): s.

@@ -415,14 +415,9 @@ _AT = {name: at for at, name in enumerate(MEASURES)}
 
 
 def verdict_of(
-    scenario: Scenario,
-    robot: Robot,
-    values: Array,
-    steps: int,
-    stopped: str | None = None,
-    swings: Sequence[str] = (),
-    own_law: bool = False,
-) -> str:
+    scenario: Scenario, robot: Robot, values: Array, steps: int, stopped: str | None = None,
+    swings: Sequence[str] = (), own_law: bool = False,
+) -> str:  # fmt: skip
     """Return "good", or the names of what is wrong with a run, as `closedloop.record.report.verdict` judges its values.
 
     `swings` are what `closedloop.scenario.modes.unresolved` and `unresolved_feedback` say.

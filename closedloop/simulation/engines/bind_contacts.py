@@ -194,13 +194,9 @@ def write_spins(shapes: Shapes, robot: Robot, bound: Bound, tip_touches: bool) -
 
 
 def write_joints(
-    contacts: Contacts,
-    robot: Robot,
-    bound: Bound,
-    stops: NDArray[np.intp],
-    turns: tuple[tuple[int, float, bool], ...],
-    held: int,
-) -> None:
+    contacts: Contacts, robot: Robot, bound: Bound, stops: NDArray[np.intp],
+    turns: tuple[tuple[int, float, bool], ...], held: int,
+) -> None:  # fmt: skip
     """Write which joints each contact moves: all, where loops, stops or dry friction of joints couple them.
 
     And whether some of those of its own groups have dry friction: a free body has no joints that could.

@@ -83,11 +83,9 @@ class DualRun:
     """
 
     def __init__(
-        self,
-        base: Prepared,
-        seeds: Sequence[Sequence[Array | None]],
+        self, base: Prepared, seeds: Sequence[Sequence[Array | None]],
         beside: Sequence[tuple[Problem, Problem, float]] = (),
-    ) -> None:
+    ) -> None:  # fmt: skip
         problem, n = base.problem, base.problem.robot.n
         if (wanted := 8 * WIDE * ((problem.steps + 1) * problem.row_width + problem.table.size)) > MOST_BYTES:
             raise NotDualError(f"its record would take {wanted / 1e9:.1f} GB")

@@ -431,14 +431,10 @@ class Problem(ScenarioNumbers):
         return entries
 
     def connect(
-        self,
-        loop: Loop,
-        user_law: Callable[[bool], None] | None = None,
-        compiled: bool = True,
-        form: Callable[[Any], Any] = as_it_is,
-        machine: Callable[[Any], int] = entry_address,
+        self, loop: Loop, user_law: Callable[[bool], None] | None = None, compiled: bool = True,
+        form: Callable[[Any], Any] = as_it_is, machine: Callable[[Any], int] = entry_address,
         loop_compiled: bool = True,
-    ) -> None:
+    ) -> None:  # fmt: skip
         """Write into a loop's memory the addresses of what it calls: of machine code, or for an interpreted loop.
 
         Parameters

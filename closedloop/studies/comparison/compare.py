@@ -99,13 +99,9 @@ class Comparison:
 
 @arguments_checked()
 def compare(
-    scenarios: Mapping[str, Scenario] | Sequence[Scenario | str],
-    over: Mapping[str, Sequence[Any]] | None = None,
-    *,
-    of: Sequence[str] = OF,
-    engine: str = COMPILED,
-    workers: int | None = None,
-) -> Comparison:
+    scenarios: Mapping[str, Scenario] | Sequence[Scenario | str], over: Mapping[str, Sequence[Any]] | None = None, *,
+    of: Sequence[str] = OF, engine: str = COMPILED, workers: int | None = None,
+) -> Comparison:  # fmt: skip
     """Run several scenarios under the same variations and return their values side by side.
 
     Parameters

@@ -142,14 +142,9 @@ def of_joints(residual: Array, names: Sequence[str], v: Array, torque: Array) ->
 
 
 def of_torques(
-    residual: Array,
-    time: Array,
-    names: Sequence[str],
-    motion: tuple[Array, Array, Array],
-    torque: Array,
-    robot: Robot | None,
-    normal: Array | None,
-) -> tuple[Array, list[Hypothesis]]:
+    residual: Array, time: Array, names: Sequence[str], motion: tuple[Array, Array, Array], torque: Array,
+    robot: Robot | None, normal: Array | None,
+) -> tuple[Array, list[Hypothesis]]:  # fmt: skip
     """Return the residual of torques, at some rows, as one column, and why it might not be zero."""
     q, v, a = motion
     rows = np.unique(np.linspace(0, len(time) - 1, ROWS).astype(int))

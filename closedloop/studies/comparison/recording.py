@@ -91,13 +91,9 @@ def of_run(run: Run, source: str = "the run") -> Recording:
 
 
 def read_recording(
-    path: str | Path,
-    robot: RobotModel,
-    *,
-    columns: Mapping[str, str] | None = None,
-    degrees: bool = False,
+    path: str | Path, robot: RobotModel, *, columns: Mapping[str, str] | None = None, degrees: bool = False,
     gain: float | Sequence[float] = 1.0,
-) -> Recording:
+) -> Recording:  # fmt: skip
     """Read a log or a run file.
 
     `path`: .csv, .parquet, .nc, .mcap, .db3 or a folder of rosbag2.

@@ -201,13 +201,9 @@ class LogComparison:
 
 @arguments_checked()
 def compare_log(
-    log: Recording | Run | str | Path,
-    scenario: Scenario,
-    *,
-    model: RobotModel | None = None,
-    shift: float | None = None,
-    cutoff: float | None = None,
-) -> LogComparison:
+    log: Recording | Run | str | Path, scenario: Scenario, *, model: RobotModel | None = None,
+    shift: float | None = None, cutoff: float | None = None,
+) -> LogComparison:  # fmt: skip
     """Simulate a scenario and compare a log with it.
 
     Parameters

@@ -82,12 +82,9 @@ def sample(run: Run, read: Callable[[Run], Array]) -> Sample:
 
 
 def samples(
-    scenarios: Sequence[Callable[[], Scenario]],
-    read: Callable[[Run], Array],
-    model: RobotModel | None,
-    report: Callable[[int, int], None],
-    workers: int | None = None,
-) -> list[Sample]:
+    scenarios: Sequence[Callable[[], Scenario]], read: Callable[[Run], Array], model: RobotModel | None,
+    report: Callable[[int, int], None], workers: int | None = None,
+) -> list[Sample]:  # fmt: skip
     """Run scenarios side by side; one that cannot be, or stops, says why."""
     if not scenarios:
         return []
@@ -246,14 +243,9 @@ class Along:
 
 
 def along(
-    keys: Keys,
-    directions: list[Direction],
-    base: Sample,
-    read: Callable[[Run], Array],
-    model: RobotModel | None,
-    report: Callable[[int, int], None],
-    workers: int | None = None,
-) -> dict[Direction, Along]:
+    keys: Keys, directions: list[Direction], base: Sample, read: Callable[[Run], Array], model: RobotModel | None,
+    report: Callable[[int, int], None], workers: int | None = None,
+) -> dict[Direction, Along]:  # fmt: skip
     """Return the derivatives of all quantities along each direction.
 
     `base`: the run itself.

@@ -303,14 +303,9 @@ NOTHING = Exact({}, [], [])
 
 
 def exact(
-    keys: Keys,
-    run: Run,
-    base: differences.Sample,
-    outputs: Sequence[Output],
-    model: RobotModel | None,
-    report: Callable[[int, int], None],
-    workers: int | None = None,
-) -> Exact:
+    keys: Keys, run: Run, base: differences.Sample, outputs: Sequence[Output], model: RobotModel | None,
+    report: Callable[[int, int], None], workers: int | None = None,
+) -> Exact:  # fmt: skip
     """Return what derivatives dual numbers give, of outputs whose values in the run are those of `base`."""
     if run.scenario.time.integrator in ADAPTIVE or jit_disabled():  # that loop is Python's
         return NOTHING

@@ -102,14 +102,9 @@ class Gradient:
 
 @arguments_checked(keys="a list of keys", of="a list of quantities")
 def gradient(
-    scenario: Scenario,
-    keys: Sequence[str],
-    of: Sequence[str],
-    *,
-    model: RobotModel | None = None,
-    progress: bool | Callable[[int, int], None] = False,
-    workers: int | None = None,
-) -> Gradient:
+    scenario: Scenario, keys: Sequence[str], of: Sequence[str], *, model: RobotModel | None = None,
+    progress: bool | Callable[[int, int], None] = False, workers: int | None = None,
+) -> Gradient:  # fmt: skip
     """Return derivatives of quantities of a run with respect to numbers of its scenario.
 
     Parameters
@@ -148,13 +143,9 @@ def gradient(
 
 
 def differentiated(
-    varied: Keys,
-    run: Run,
-    outputs: Sequence[Output],
-    model: RobotModel | None,
-    progress: bool | Callable[[int, int], None],
-    workers: int | None,
-) -> Gradient:
+    varied: Keys, run: Run, outputs: Sequence[Output], model: RobotModel | None,
+    progress: bool | Callable[[int, int], None], workers: int | None,
+) -> Gradient:  # fmt: skip
     """Return the derivatives of outputs of a run; see `gradient`."""
     directions = varied.directions
     with reporting(progress, f"derivatives of {varied.scenario.name}", 6 * len(directions)) as report:
@@ -248,14 +239,9 @@ def _entry(array: Array) -> Entry:
 
 @arguments_checked(keys="a list of keys", of="a list of quantities")
 def gradients(
-    scenarios: Sequence[Scenario],
-    keys: Sequence[str],
-    of: Sequence[str],
-    *,
-    model: RobotModel | None = None,
-    progress: bool | Callable[[int, int], None] = False,
-    workers: int | None = None,
-) -> list[Gradient]:
+    scenarios: Sequence[Scenario], keys: Sequence[str], of: Sequence[str], *, model: RobotModel | None = None,
+    progress: bool | Callable[[int, int], None] = False, workers: int | None = None,
+) -> list[Gradient]:  # fmt: skip
     """Return what `gradient` returns of each of several scenarios, on two cores.
 
     Half of the time is that of Python, and threads would wait for each other: a second process takes every other one.
@@ -335,14 +321,9 @@ class Sensitivities(Gradient):
 
 @arguments_checked(keys="a list of keys", of="a list of columns")
 def sensitivities(
-    scenario: Scenario,
-    keys: Sequence[str],
-    of: Sequence[str] = ("contact_force",),
-    *,
-    model: RobotModel | None = None,
-    progress: bool | Callable[[int, int], None] = False,
-    workers: int | None = None,
-) -> Sensitivities:
+    scenario: Scenario, keys: Sequence[str], of: Sequence[str] = ("contact_force",), *,
+    model: RobotModel | None = None, progress: bool | Callable[[int, int], None] = False, workers: int | None = None,
+) -> Sensitivities:  # fmt: skip
     """Return derivatives of whole columns of a run with respect to numbers of its scenario.
 
     Parameters

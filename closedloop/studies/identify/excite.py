@@ -94,19 +94,10 @@ class Excitation:
 
 @arguments_checked()
 def excite(
-    robot: RobotModel | str | PathLike[str],
-    target: Sequence[str] = (),
-    *,
-    duration: float = 10.0,
-    harmonics: int = 5,
-    rate: float = 100.0,
-    noise: ArrayLike | None = None,
-    acceleration: ArrayLike | None = None,
-    share: float = 0.9,
-    friction: Sequence[str] = FRICTION,
-    drive_inertia: bool = True,
-    seed: int = 0,
-) -> Excitation:
+    robot: RobotModel | str | PathLike[str], target: Sequence[str] = (), *, duration: float = 10.0, harmonics: int = 5,
+    rate: float = 100.0, noise: ArrayLike | None = None, acceleration: ArrayLike | None = None, share: float = 0.9,
+    friction: Sequence[str] = FRICTION, drive_inertia: bool = True, seed: int = 0,
+) -> Excitation:  # fmt: skip
     """Design a motion from whose log parameters of a robot can be identified best.
 
     Parameters

@@ -194,21 +194,12 @@ class Identification:
 
 @arguments_checked()
 def identify(
-    log: Log | Run | Sequence[Log | Run],
-    robot: RobotModel | str | PathLike[str],
-    *,
-    friction: Sequence[str] = FRICTION,
-    drive_inertia: bool = True,
-    coupled: Sequence[tuple[str, str]] = (),
-    stribeck_speed: float | Sequence[float] | str | None = None,
-    extra: Mapping[str, Columns] | None = None,
-    slow: float = 0.01,
-    cutoff: float | None = None,
-    held_out: float = 0.25,
-    test: Log | None = None,
-    method: str = "ls",
-    confidence: float = 0.95,
-) -> Identification:
+    log: Log | Run | Sequence[Log | Run], robot: RobotModel | str | PathLike[str], *,
+    friction: Sequence[str] = FRICTION, drive_inertia: bool = True, coupled: Sequence[tuple[str, str]] = (),
+    stribeck_speed: float | Sequence[float] | str | None = None, extra: Mapping[str, Columns] | None = None,
+    slow: float = 0.01, cutoff: float | None = None, held_out: float = 0.25, test: Log | None = None,
+    method: str = "ls", confidence: float = 0.95,
+) -> Identification:  # fmt: skip
     """Identify the base inertial parameters, friction and drive inertia of a robot from a log.
 
     Parameters

@@ -179,13 +179,9 @@ _UNIT = re.compile(r"\s*[\[(]([^\[\]()]*)[\])]$")
 
 
 def read_log(
-    path: str | Path,
-    robot: RobotModel,
-    *,
-    columns: Mapping[str, str] | None = None,
-    degrees: bool = False,
+    path: str | Path, robot: RobotModel, *, columns: Mapping[str, str] | None = None, degrees: bool = False,
     gain: float | Sequence[float] = 1.0,
-) -> Log:
+) -> Log:  # fmt: skip
     """Read a log of a robot.
 
     `path`: .csv, .parquet, or .nc: a run of this simulator, or variables over the first dimension, (N,) or (N, n);

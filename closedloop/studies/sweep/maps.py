@@ -134,14 +134,9 @@ def sweep_plot(
 ) -> Figure: ...  # fmt: skip
 @arguments_checked()
 def sweep_plot(
-    table: str | Path | pa.Table,
-    of: Sequence[str] | None = None,
-    *,
-    x: str | None = None,
-    y: str | None = None,
-    out: str | Path | None = None,
-    ax: Axes | Sequence[Axes] | None = None,
-) -> Path | Figure:
+    table: str | Path | pa.Table, of: Sequence[str] | None = None, *, x: str | None = None, y: str | None = None,
+    out: str | Path | None = None, ax: Axes | Sequence[Axes] | None = None,
+) -> Path | Figure:  # fmt: skip
     """Draw values of a sweep and return the path of the picture; with `ax`, draw on axes, and return their figure.
 
     Parameters

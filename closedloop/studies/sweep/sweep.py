@@ -140,14 +140,9 @@ class Sweep:
 
 
 def run_sweep(
-    sweep: Sweep,
-    out: str | Path,
-    *,
-    workers: int | None = None,
-    scheduler: str | None = None,
-    progress: Callable[[int, int], None] | None = None,
-    overwrite: bool = False,
-) -> Joined:
+    sweep: Sweep, out: str | Path, *, workers: int | None = None, scheduler: str | None = None,
+    progress: Callable[[int, int], None] | None = None, overwrite: bool = False,
+) -> Joined:  # fmt: skip
     """Run what is not yet there of a sweep, and join its parts into the table.
 
     `out`: the table, a Parquet file; whole columns go into a NetCDF file of the same name beside it, parts into a

@@ -178,16 +178,10 @@ class Runs:
     """
 
     def __init__(
-        self,
-        scenario: Scenario,
-        some: Sequence[Varied],
-        minimise: Mapping[str, float],
-        limits: Sequence[Limit],
-        over: Mapping[str, Sequence[Any]],
-        kept: Path | None = None,
-        report: Callable[[int], None] = lambda done: None,
+        self, scenario: Scenario, some: Sequence[Varied], minimise: Mapping[str, float], limits: Sequence[Limit],
+        over: Mapping[str, Sequence[Any]], kept: Path | None = None, report: Callable[[int], None] = lambda done: None,
         workers: int | None = None,
-    ) -> None:
+    ) -> None:  # fmt: skip
         self.scenario, self.some, self.minimise, self.limits = scenario, list(some), dict(minimise), list(limits)
         self.variations = [dict(zip(over, point, strict=True)) for point in itertools.product(*over.values())]
         self.done, self._report, self._workers = 0, report, workers

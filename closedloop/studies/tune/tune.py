@@ -180,22 +180,12 @@ MOVED = 0.1
 
 @arguments_checked(vary="keys with two ends each, such as {'law.kd': (1, 10)}")
 def tune(
-    scenario: Scenario,
-    vary: Mapping[str, Sequence[float]],
-    minimise: str | Mapping[str, float] = "rms_force_error",
-    subject_to: Sequence[str] = (),
-    *,
-    over: Mapping[str, Sequence[Any]] | None = None,
-    robust: str = WORST,
-    log: Sequence[str] = (),
-    starts: int = 4,
-    seed: int = 0,
-    iterations: int = 60,
-    kept: str | Path | None = None,
-    progress: bool | Callable[[int], None] = False,
-    workers: int | None = None,
+    scenario: Scenario, vary: Mapping[str, Sequence[float]], minimise: str | Mapping[str, float] = "rms_force_error",
+    subject_to: Sequence[str] = (), *, over: Mapping[str, Sequence[Any]] | None = None, robust: str = WORST,
+    log: Sequence[str] = (), starts: int = 4, seed: int = 0, iterations: int = 60, kept: str | Path | None = None,
+    progress: bool | Callable[[int], None] = False, workers: int | None = None,
     minimize: str | Mapping[str, float] | None = None,
-) -> Tuning:
+) -> Tuning:  # fmt: skip
     """Find the numbers of a scenario that minimise a value of its runs.
 
     Parameters

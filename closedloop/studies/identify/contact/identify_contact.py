@@ -287,15 +287,10 @@ class ContactIdentification:
 
 @arguments_checked()
 def identify_contact(
-    log: Recording | Run | str | Path,
-    robot: RobotModel | str | PathLike[str] | None = None,
-    *,
-    normal: ArrayLike = (0.0, 0.0, 1.0),
-    tip: str | None = None,
-    delay: float | None = None,
-    cutoff: float | None = None,
-    confidence: float = 0.95,
-) -> ContactIdentification:
+    log: Recording | Run | str | Path, robot: RobotModel | str | PathLike[str] | None = None, *,
+    normal: ArrayLike = (0.0, 0.0, 1.0), tip: str | None = None, delay: float | None = None,
+    cutoff: float | None = None, confidence: float = 0.95,
+) -> ContactIdentification:  # fmt: skip
     """Identify friction, stiffness, damping, restitution and the force sensor from a log of a tip on a plane.
 
     Parameters

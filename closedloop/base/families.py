@@ -121,16 +121,6 @@ _POSITIONAL = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_O
 _HOW = {staticmethod: "@staticmethod ", classmethod: "@classmethod "}
 
 
-def signature_faults(member: type[Any], base: type[Any]) -> list[str]:
-    """Return what is wrong with the functions of a class that have the name of one of its base: a line for each.
-
-    A function must be static, of the class or of the instance as the base's is, and take as many arguments by place.
-
-    `member`, `base`: a user's class, and the family's base class.
-    """
-    return [fault for name in _functions(base) if (fault := _fault(name, member, base))]
-
-
 def _functions(base: type[Any]) -> Iterator[str]:
     """Return the names of the functions that a class of the package defines, itself or in a base of the package."""
     for name in dict.fromkeys(name for each in base.__mro__ if _is_ours(each) for name in vars(each)):
@@ -144,7 +134,7 @@ def _is_ours(each: type[Any]) -> bool:
 
 
 def _fault(name: str, member: type[Any], base: type[Any]) -> str:
-    """Return what is wrong with one function, "" if nothing is."""
+    """Return what is wrong with one function, "" if nothing: its kind and how many arguments it takes by place count."""
     owner = next((each for each in member.__mro__ if name in vars(each)), base)
     if _is_ours(owner):
         return ""
@@ -279,7 +269,7 @@ class Family(Mapping[str, type[M]], Generic[M]):
             raise ScenarioError(f"{key} = {value.__module__}:{value.__qualname__}: must define {', '.join(lacking)}")
         name = value.member_name()
         if ":" in name and users.get(name) is not value:
-            if faults := signature_faults(value, self.base):
+            if faults := [fault for name in _functions(self.base) if (fault := _fault(name, value, self.base))]:
                 raise ScenarioError(*(f"{key} = {name}: {fault}" for fault in faults))
             users[name] = value
         return name

@@ -25,8 +25,17 @@ def main(words: list[str]) -> int:
     folder = made_folder(options.out) if options.out else None
     from closedloop.studies.tune.tune import tune
 
+    found = {}
+    for text in options.minimise or ["rms_force_error"]:
+        weight, times, name = text.rpartition("*")
+        try:
+            found[name.strip()] = float(weight) if times else 1.0
+        except ValueError:
+            raise ScenarioError(
+                f"--minimise {text}: must be a value, or WEIGHT*VALUE, such as 0.1*max_tip_speed"
+            ) from None
     tuning = tune(
-        scenario, {axis.key: (axis.low, axis.high) for axis in ranges}, _weights(options.minimise), options.subject_to,
+        scenario, {axis.key: (axis.low, axis.high) for axis in ranges}, found, options.subject_to,
         over=dict(map(_variation, options.over)), robust=options.robust, log=[axis.key for axis in ranges if axis.log],
         starts=options.starts, seed=options.seed, kept=folder / "runs.jsonl" if folder else None, progress=True,
     )  # fmt: skip
@@ -79,17 +88,3 @@ def _variation(text: str) -> tuple[str, list[Any]]:
 
     axis = parse_axis(text)
     return axis.key, [axis.at(i) for i in range(len(axis))]
-
-
-def _weights(texts: list[str]) -> dict[str, float]:
-    """Read values with their weights."""
-    found = {}
-    for text in texts or ["rms_force_error"]:
-        weight, times, name = text.rpartition("*")
-        try:
-            found[name.strip()] = float(weight) if times else 1.0
-        except ValueError:
-            raise ScenarioError(
-                f"--minimise {text}: must be a value, or WEIGHT*VALUE, such as 0.1*max_tip_speed"
-            ) from None
-    return found

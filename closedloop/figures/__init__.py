@@ -26,22 +26,7 @@ from closedloop.figures.motion import bodies, columns, joints, tip_position, too
 from closedloop.figures.style import STYLE, contact_handles, styled
 
 __all__ = [
-    "STYLE",
-    "bodies",
-    "closure_error",
-    "columns",
-    "contact_force",
-    "contact_handles",
-    "draw_figures",
-    "force_control",
-    "friction_force",
-    "images_of",
-    "impacts",
-    "is_papers",
-    "joints",
-    "link_contacts",
-    "save_figure",
-    "styled",
-    "tip_position",
-    "tool",
-]
+    "STYLE", "bodies", "closure_error", "columns", "contact_force", "contact_handles", "draw_figures", "force_control",
+    "friction_force", "images_of", "impacts", "is_papers", "joints", "link_contacts", "save_figure", "styled",
+    "tip_position", "tool",
+]  # fmt: skip

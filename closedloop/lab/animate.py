@@ -73,7 +73,9 @@ class Picture:
         if scene.marks:
             self._space.scatter(*np.array([mark.position for mark in scene.marks]).T, color="#CC79A7", s=12)
         self._frame_view(view)
-        self._draw_legend()
+        parts: list[Any] = [Line2D([], [], color=ARROWS[kind], linewidth=2, label=kind) for kind in self.scene.kinds]
+        parts += [Patch(color=COLOUR, alpha=OPACITY, label=ghost.name) for ghost in self.scene.ghosts]
+        self._space.legend(handles=parts, loc="upper left", fontsize=8)
         self._clock, self._cursor = figure.text(0.985, 0.985, "", ha="right", va="top", family="monospace"), None
         self._moving = [self._done, *self._arrows.values(), self._clock]
         if panel:
@@ -119,11 +121,6 @@ class Picture:
         name = run.scenario.name
         robot = "" if run.model.name in ("none", name) else f" ({run.model.name})"
         return f"{name}{robot}, {scale}"
-
-    def _draw_legend(self) -> None:
-        parts: list[Any] = [Line2D([], [], color=ARROWS[kind], linewidth=2, label=kind) for kind in self.scene.kinds]
-        parts += [Patch(color=COLOUR, alpha=OPACITY, label=ghost.name) for ghost in self.scene.ghosts]
-        self._space.legend(handles=parts, loc="upper left", fontsize=8)
 
     def _draw_curves(self, plot: Any, panel: Panel) -> Any:
         """Draw the curves, and return the line that marks the instant."""

@@ -174,9 +174,8 @@ class History:
         self._past: list[Changes] = []
         self._future: list[Changes] = []
         self._now, self._last_key, self._last_time = now, "", -TOGETHER
-        self.press: tuple[int, str] | int | None = (
-            None  # which press of the pointer what follows belongs to, None: to none
-        )
+        # which press of the pointer what follows belongs to, None: to none
+        self.press: tuple[int, str] | int | None = None
         self._last_press: tuple[int, str] | int | None = None
         self.changes: Changes = {}
 

@@ -150,7 +150,12 @@ def _joined(parts: list[ik.JointPath]) -> ik.JointPath:
 
 def _resolve(who: Follower, q: Array, segment: Segment, most: int, keys: tuple[str, ...]) -> ik.JointPath:
     """Return the joint path along one segment, with as many knots as it needs; at most `most` intervals."""
-    first, whole = _first_intervals(segment), segment.stop - segment.start
+    # Over h seconds a cubic errs by h⁴/384 times the fourth derivative, of which the tip's path gives a lower bound.
+    times, gap = np.linspace(segment.start, segment.stop, DIFFERENCES, retstep=True)
+    fourth = float(np.max(np.abs(np.diff(segment.sample(times)[2], n=2, axis=0)))) / gap**2
+    needed = (segment.stop - segment.start) * (1.5 * fourth / (384 * ik.PATH_TOLERANCE)) ** 0.25
+    wanted = max(1.0, segment.length / FIRST_SPACING, needed if math.isfinite(needed) else 1.0)
+    first, whole = math.ceil(min(wanted, 1e300)), segment.stop - segment.start
     parts: list[ik.JointPath] = []
     for begin, end in itertools.pairwise([segment.start, *seams(who.held.surface, segment), segment.stop]):
         share = math.ceil(first * ((end - begin) / whole))
@@ -184,19 +189,6 @@ def _between(
                 f"reference: the joint path cannot be resolved (off the path by {worst:.1e} m midway between "
                 f"{intervals // 2} knots); it runs too close to a singular pose, too fast or too far"
             )
-
-
-def _first_intervals(segment: Segment) -> int:
-    """Return the number of intervals to begin with on a segment.
-
-    The error of a cubic over h seconds is h⁴/384 times the fourth derivative. That of the tip's path, from differences
-    of its acceleration, gives a lower bound for the joints' path.
-    """
-    times, gap = np.linspace(segment.start, segment.stop, DIFFERENCES, retstep=True)
-    fourth = float(np.max(np.abs(np.diff(segment.sample(times)[2], n=2, axis=0)))) / gap**2
-    needed = (segment.stop - segment.start) * (1.5 * fourth / (384 * ik.PATH_TOLERANCE)) ** 0.25
-    wanted = max(1.0, segment.length / FIRST_SPACING, needed if math.isfinite(needed) else 1.0)
-    return math.ceil(min(wanted, 1e300))
 
 
 def _through_knots(

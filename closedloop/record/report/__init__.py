@@ -5,12 +5,6 @@ from closedloop.record.report.summary import assumptions, energy_balance, summar
 from closedloop.record.report.tables import notes, print_report, report_rows
 
 __all__ = [
-    "NEAR_SINGULAR",
-    "RESIDUAL_TOLERANCE",
-    "assumptions",
-    "energy_balance",
-    "notes",
-    "print_report",
-    "report_rows",
+    "NEAR_SINGULAR", "RESIDUAL_TOLERANCE", "assumptions", "energy_balance", "notes", "print_report", "report_rows",
     "summarise",
-]
+]  # fmt: skip

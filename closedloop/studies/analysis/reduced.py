@@ -183,7 +183,17 @@ class Reduced:
             turn = np.vstack([self.law["q"]["u"][: self.rows], self.spans @ np.vstack(others)])[self.bound]
             self.by_v -= self.P[:, self.bound] @ (turn @ self.by_q)
         if self.soft:
-            self.by_force = self._by_contact_force()
+            # f of a soft surface is changed by the parameter of it that f depends on most.
+            numbers = self.problem.compliance.numbers
+            scales = 1e-3 * np.maximum(np.abs(numbers), 1e-6)
+            found = columns(self.here, "compliance", scales, True)
+            index = int(np.argmax(np.abs(found["f"][0] * scales)))
+            if found["f"][0, index] == 0.0:
+                raise SimulationError(
+                    f"linearise: the soft surface gives no force at t = {self.instant.time:g} s; take another instant",
+                    self.instant.time,
+                )
+            self.by_force = {key: x[:, index : index + 1] / found["f"][0, index] for key, x in found.items()}
             along = self.P[:, :1]  # moves the tip along n alone
             self.stiffness = -float((self.plant["q"]["f"] @ along)[0, 0])
             self.damping = -float((self.plant["v"]["f"] @ along)[0, 0])
@@ -241,19 +251,6 @@ class Reduced:
         if sensor.states == 0 and not sensor.sampled and self.state.settings.general != 0:
             return self.law["bias"]["dz"][laws]
         return np.zeros((laws.stop, 1))
-
-    def _by_contact_force(self) -> dict[str, Array]:
-        """Return the derivatives by f of a soft surface: those by the parameter of it that f depends on most."""
-        numbers = self.problem.compliance.numbers
-        scales = 1e-3 * np.maximum(np.abs(numbers), 1e-6)
-        found = columns(self.here, "compliance", scales, True)
-        index = int(np.argmax(np.abs(found["f"][0] * scales)))
-        if found["f"][0, index] == 0.0:
-            raise SimulationError(
-                f"linearise: the soft surface gives no force at t = {self.instant.time:g} s; take another instant",
-                self.instant.time,
-            )
-        return {key: x[:, index : index + 1] / found["f"][0, index] for key, x in found.items()}
 
     def by_inputs(self, block: Block, key: str) -> Array:
         """Return the derivatives by `inputs`: a rigid surface that accelerates is one at rest, and an inertial load."""

@@ -134,7 +134,7 @@ def _is_ours(each: type[Any]) -> bool:
 
 
 def _fault(name: str, member: type[Any], base: type[Any]) -> str:
-    """Return what is wrong with one function, "" if nothing: its kind and how many arguments it takes by place count."""
+    """Return what is wrong with one function, "" if nothing: its kind, or how many arguments it takes by place."""
     owner = next((each for each in member.__mro__ if name in vars(each)), base)
     if _is_ours(owner):
         return ""

@@ -131,8 +131,11 @@ class UserLaw:
         state, constants, w = self._loop
         t, n = float(w.time), w.q.size
         x = interpreted(law_input)(state, constants, w)
-        terms = Terms(_kept(x.H), _kept(x.C), _kept(x.r), _kept(x.J), _kept(x.Jdot_v))
-        given: tuple[Any, ...] = (_copied(x),) if self._ways.sees_input else (t, _kept(x.q), _kept(x.v), terms)
+        given: tuple[Any, ...]
+        if self._ways.sees_input:
+            given = (_copied(x),)
+        else:
+            given = t, _kept(x.q), _kept(x.v), Terms(_kept(x.H), _kept(x.C), _kept(x.r), _kept(x.J), _kept(x.Jdot_v))
         try:
             if self._ways.writes:
                 answer: Any = np.zeros(n)

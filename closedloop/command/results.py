@@ -62,9 +62,9 @@ def first_free(folder: Path, question: dict[str, str], overwrite: bool) -> "Resu
 class Results:
     """Where the results of a run go; at the end of a ``with`` block no folder is left that was made for nothing.
 
-    `folder`, Path: the folder, which this process has locked until the end of the ``with`` block.
     `not_first`, str: why they do not go into the folder that is tried first, see `first_free`; "" if they do.
-    `folder`: it is made if need be, and what killed writers left in it is removed.
+    `folder`: it is made if need be, and what killed writers left in it is removed; this process has it locked until the
+        end of the ``with`` block.
     `question`: the inputs of the run, see `closedloop.record.save.question`.
     `overwrite`: whether results of another question may be replaced.
     """

@@ -31,9 +31,8 @@ class Kernel:
     So neither importing a kernel nor running its Python function costs the start of numba, half a second. Where numba
     meets one, in another kernel, `_numba_type_` gives it the dispatcher.
 
-    `function`: the Python function.
+    `function`: the Python function, kept as `py_func`.
     `make`: makes the dispatcher of it.
-    `py_func`, `make`: the same.
     `unguarded`: of an entry that catches what a user's function raises, the one that does not: interpreted code runs
         that.
     """

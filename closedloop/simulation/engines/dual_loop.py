@@ -76,10 +76,10 @@ class DualRun:
     `seeds`: of each direction the derivatives of `base.floats`, None where there are none.
     `beside`: of each direction the problems on both sides, and how far off each is: a coefficient of restitution is
         found in Python, so its derivatives are differences.
-    Raises NotDualError if a kernel has no form of dual numbers, or there is not enough memory.
     `rows`, (N, width, 8) array: the record, values and derivatives; residuals and condition numbers are NaN.
     `events`, (M, EVENT_WIDTH, 8) array: the table of events.
     `table`, (P, columns, 8) array: what is desired, see `closedloop.loop.step.entries`.
+    Raises NotDualError if a kernel has no form of dual numbers, or there is not enough memory.
     """
 
     def __init__(

@@ -114,19 +114,10 @@ class Answers:
 def drive(call: Callable[[int], int], give: Callable[[int], None], goes_on: Callable[[], bool] = lambda: True) -> int:
     """Call a loop, and give what it requests beside terms, until it is done or fails, or does not go on.
 
-    Parameters
-    ----------
-    call : callable
-        Calls the loop, with terms if the request before, which it gets, was TERMS; returns the next request.
-    give : callable
-        Answers TABLE_FULL or IMPACT_LAW_WANTED.
-    goes_on : callable
-        Whether to go on where terms are requested.
-
-    Returns
-    -------
-    int
-        The last request: DONE, FAILED or TERMS.
+    `call`: calls the loop, with terms if the request before, which it gets, was TERMS; returns the next request.
+    `give`: answers TABLE_FULL or IMPACT_LAW_WANTED.
+    `goes_on`: whether to go on where terms are requested.
+    Returns the last request: DONE, FAILED or TERMS.
     """
     request = TERMS
     while True:

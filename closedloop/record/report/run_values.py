@@ -70,12 +70,8 @@ def contact_faults(run: Record) -> ContactFaults | None:
 def share_not_determined(run: Record) -> tuple[float, int, int] | None:
     """Return from when on rigid bodies do not determine the share of each contact; None if they do, or there are loops.
 
-    See `shares_at`. Looked at is the first row of each set of modes, of at most `MOST_SETS` of them.
-
-    Returns
-    -------
-    tuple of float, int, int
-        The instant, s, how many rows there are then, and how many of them depend on no others.
+    That is the instant, s, how many rows there are then, and how many of them depend on no others, see `shares_at`.
+    Looked at is the first row of each set of modes, of at most `MOST_SETS` of them.
     """
     if not run.scenario.contact or not len(run) or run.loops is not None:
         return None

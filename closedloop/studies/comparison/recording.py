@@ -282,19 +282,11 @@ def audit(
 def expected_force(
     recording: Recording, robot: Robot, cutoff: float | None = None, struck: Array | None = None
 ) -> tuple[NDArray[np.int64], Array, Array, float, float]:
-    """Return the force on the tip that follows from motion and torques, beside the recorded one.
+    """Return the force on the tip that follows from motion and torques, beside the recorded one; see `audit`.
 
-    Parameters
-    ----------
-    cutoff : float, optional
-        Of the low-pass, Hz; ten times that of the motion if left out.
-    struck : (m,) array, optional
-        As of `audit`.
-
-    Returns
-    -------
-    rows (R,), expected (R, 3) N in base axes at them, recorded (N,) or (N, 3) N of all rows with the same filter, the
-    share of the torque beyond that of motion and drives that a force at the tip explains, and the cutoff, Hz.
+    These are rows (R,), the force expected there (R, 3), N, base axes, the recorded one of all rows with the same
+    filter, (N,) or (N, 3), N, the share of the torque beyond that of motion and drives that a force at the tip
+    explains, and the cutoff, Hz.
     """
     torque, force = recording.torque, recording.force
     if torque is None or force is None:

@@ -116,12 +116,8 @@ def run_part(
 ) -> tuple[pa.Table, dict[str, Array]]:
     """Run the runs from number `first` on, with these values of the keys.
 
-    Returns
-    -------
-    table : pyarrow.Table
-        A row for each run.
-    columns : dict of str to (runs, rows) or (runs, rows, k) array
-        The columns kept; after a run's last row NaN.
+    Returns a table with a row for each run, and the columns kept, (runs, rows) or (runs, rows, k); after a run's last
+    row they are NaN.
     """
     came_to: dict[int, Outcome] = {}
     for block in in_blocks(_variants(job), points, job.engine, job.runs, lanes=not job.law):

@@ -80,7 +80,7 @@ def test_the_scene_has_the_body_as_its_file_has_it_and_the_floor(toss):
 
 def test_joints_that_are_too_many_are_grey(monkeypatch):
     """Those with a drive are named, each in a colour of its own that its limits have; the others are counted."""
-    monkeypatch.setattr(import_module("closedloop.figures.motion"), "MOST_CURVES", 2)  # `joints` is a function too
+    monkeypatch.setattr(import_module("closedloop.figures.style"), "MOST_CURVES", 2)
     run = cl.simulate(cl.load_scenario("five_bar", {"time.duration": 0.002}))
     figure = cl.figures.joints(run)
     (legend,) = figure.legends

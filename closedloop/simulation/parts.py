@@ -28,16 +28,20 @@ class Watched:
 
     `readers`: by section, who has read it.
     `who`: who it is given to.
+    `read`: the sections that it has read before: they are noted already, and are where Python looks first.
     """
 
-    def __init__(self, scenario: Scenario, readers: Mapping[str, set[int]], who: int) -> None:
-        self.unwatched, self._readers, self._who = scenario, readers, who
+    def __init__(self, scenario: Scenario, readers: Mapping[str, set[int]], who: int, read: list[str]) -> None:
+        sections = vars(scenario)
+        vars(self).update({name: sections[name] for name in read})
+        self.unwatched, self._readers, self._who, self._read = scenario, readers, who, read
 
     def __getattr__(self, name: str) -> Any:
         readers = self._readers.get(name)
         if readers is None:
             return getattr(Scenario, name).__get__(self)  # a property, or a method, which reads sections too
         readers.add(self._who)
+        self._read.append(name)
         part = self.__dict__[name] = self.unwatched.__dict__[name]  # where it is found from now on
         return part
 
@@ -51,11 +55,13 @@ class Watched:
 class Made:
     """Parts that are made, of which it notes which are read; the parameters are as of `Watched`."""
 
-    def __init__(self, parts: dict[str, Any], readers: Mapping[str, set[int]], who: int) -> None:
-        self._parts, self._readers, self._who = parts, readers, who
+    def __init__(self, parts: dict[str, Any], readers: Mapping[str, set[int]], who: int, read: list[str]) -> None:
+        vars(self).update({name: parts[name] for name in read})
+        self._parts, self._readers, self._who, self._read = parts, readers, who, read
 
     def __getattr__(self, name: str) -> Any:
         self._readers[name].add(self._who)
+        self._read.append(name)
         part = self.__dict__[name] = self._parts[name]
         return part
 
@@ -70,7 +76,7 @@ class Asked:
     def __init__(self, problem: Any) -> None:
         self._problem, self._read = problem, dict[str, Any]()
         self._readers: dict[str, set[int]] = {name: set() for name in SECTIONS}
-        self.scenario = Watched(problem.scenario, self._readers, 0)
+        self.scenario = Watched(problem.scenario, self._readers, 0, [])
 
     def __getattr__(self, name: str) -> Any:
         part = self._read[name] = getattr(self._problem, name)
@@ -119,6 +125,7 @@ class Parts:
         # By section and by part: which parts have read it.
         self._of_section: dict[str, set[int]] = {name: set() for name in SECTIONS}
         self._of_part: dict[str, set[int]] = {name: set() for name in self._made}
+        self._read: list[tuple[list[str], list[str]]] = [([], []) for _ in makers]  # sections and parts, by each
         self._sections: tuple[Any, ...] = (NOTHING,) * len(SECTIONS)
 
     def forget(self, name: str) -> None:
@@ -143,7 +150,8 @@ class Parts:
         while stale:
             k = min(stale)
             name, make = self._makers[k]
-            new = make(Watched(scenario, self._of_section, k), Made(made, self._of_part, k))
+            sections, parts = self._read[k]
+            new = make(Watched(scenario, self._of_section, k, sections), Made(made, self._of_part, k, parts))
             stale.discard(k)
             self._put(name, new)
         return made

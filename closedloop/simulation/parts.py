@@ -24,44 +24,42 @@ sections_of = itemgetter(*SECTIONS)
 
 
 class Watched:
-    """A scenario that notes which of its sections are read, by what it is given to.
+    """A scenario that notes which of its sections are read, by what it is given to; it turns from scenario to scenario.
 
     `readers`: by section, who has read it.
     `who`: who it is given to.
-    `read`: the sections that it has read before: they are noted already, and are where Python looks first.
+    `unwatched`: the scenario; to be set. A section that was read is an attribute from then on, which who turns it on
+        changes.
     """
 
-    def __init__(self, scenario: Scenario, readers: Mapping[str, set[int]], who: int, read: list[str]) -> None:
-        sections = vars(scenario)
-        vars(self).update({name: sections[name] for name in read})
-        self.unwatched, self._readers, self._who, self._read = scenario, readers, who, read
+    unwatched: Scenario
+
+    def __init__(self, readers: Mapping[str, set[int]], who: int) -> None:
+        self._readers, self._who = readers, who
 
     def __getattr__(self, name: str) -> Any:
         readers = self._readers.get(name)
         if readers is None:
             return getattr(Scenario, name).__get__(self)  # a property, or a method, which reads sections too
         readers.add(self._who)
-        self._read.append(name)
-        part = self.__dict__[name] = self.unwatched.__dict__[name]  # where it is found from now on
+        part = self.__dict__[name] = self.unwatched.__dict__[name]  # where Python looks first
         return part
 
     def model_copy(self, *, update: Mapping[str, Any]) -> Scenario:
         """Return a changed copy of the scenario, which depends on all of it."""
-        for readers in self._readers.values():
-            readers.add(self._who)
+        for name in self._readers:
+            getattr(self, name)
         return self.unwatched.model_copy(update=update)
 
 
 class Made:
-    """Parts that are made, of which it notes which are read; the parameters are as of `Watched`."""
+    """Parts that are made, of which it notes which are read, as `Watched` does."""
 
-    def __init__(self, parts: dict[str, Any], readers: Mapping[str, set[int]], who: int, read: list[str]) -> None:
-        vars(self).update({name: parts[name] for name in read})
-        self._parts, self._readers, self._who, self._read = parts, readers, who, read
+    def __init__(self, parts: dict[str, Any], readers: Mapping[str, set[int]], who: int) -> None:
+        self._parts, self._readers, self._who = parts, readers, who
 
     def __getattr__(self, name: str) -> Any:
         self._readers[name].add(self._who)
-        self._read.append(name)
         part = self.__dict__[name] = self._parts[name]
         return part
 
@@ -76,7 +74,8 @@ class Asked:
     def __init__(self, problem: Any) -> None:
         self._problem, self._read = problem, dict[str, Any]()
         self._readers: dict[str, set[int]] = {name: set() for name in SECTIONS}
-        self.scenario = Watched(problem.scenario, self._readers, 0, [])
+        self.scenario = Watched(self._readers, 0)
+        self.scenario.unwatched = problem.scenario
 
     def __getattr__(self, name: str) -> Any:
         part = self._read[name] = getattr(self._problem, name)
@@ -125,7 +124,10 @@ class Parts:
         # By section and by part: which parts have read it.
         self._of_section: dict[str, set[int]] = {name: set() for name in SECTIONS}
         self._of_part: dict[str, set[int]] = {name: set() for name in self._made}
-        self._read: list[tuple[list[str], list[str]]] = [([], []) for _ in makers]  # sections and parts, by each
+        # What each maker is given.
+        self._given = [
+            (Watched(self._of_section, k), Made(self._made, self._of_part, k)) for k in range(len(makers))
+        ]
         self._sections: tuple[Any, ...] = (NOTHING,) * len(SECTIONS)
 
     def forget(self, name: str) -> None:
@@ -147,11 +149,14 @@ class Parts:
         ):
             if not alike(one, other):
                 stale |= self._of_section[name]
+                for k in self._of_section[name]:
+                    vars(self._given[k][0])[name] = other
         while stale:
             k = min(stale)
             name, make = self._makers[k]
-            sections, parts = self._read[k]
-            new = make(Watched(scenario, self._of_section, k, sections), Made(made, self._of_part, k, parts))
+            watched, of = self._given[k]
+            watched.unwatched = scenario
+            new = make(watched, of)
             stale.discard(k)
             self._put(name, new)
         return made
@@ -160,6 +165,8 @@ class Parts:
         if part is not (before := self._made[name]) and not alike(part, before):
             self._made[name] = part
             self._stale |= self._of_part[name]
+            for k in self._of_part[name]:
+                vars(self._given[k][1])[name] = part
 
 
 def alike(one: Any, other: Any) -> bool:

@@ -1,6 +1,6 @@
 """The robot as data: everything that is needed to build it again, and nothing that must be looked up."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields
 from difflib import get_close_matches
 from types import MappingProxyType
@@ -90,13 +90,17 @@ class RobotModel:
     whole: bool = False
 
     def __post_init__(self) -> None:
-        for entry in fields(self):
-            value = getattr(self, entry.name)
+        self._keep(entry.name for entry in fields(self))
+        object.__setattr__(self, "locked", MappingProxyType(dict(self.locked)))
+
+    def _keep(self, names: Iterable[str]) -> None:
+        """Have nobody write to those of these attributes that are arrays."""
+        for name in names:
+            value = getattr(self, name)
             if isinstance(value, np.ndarray) and not _is_kept(value):
                 value = np.array(value, dtype=np.float64)
                 value.setflags(write=False)
-                object.__setattr__(self, entry.name, value)
-        object.__setattr__(self, "locked", MappingProxyType(dict(self.locked)))
+                object.__setattr__(self, name, value)
 
     def __reduce__(self) -> tuple[Any, ...]:
         # A mapping proxy cannot be pickled, and unpickled arrays would be writable: construct anew instead,
@@ -252,9 +256,14 @@ class RobotModel:
     def changed(self, **changes: Any) -> "RobotModel":
         """Return the robot with other tools, gravity or springs in its joints; what its text says is known already."""
         other = object.__new__(type(self))
-        vars(other).update({**vars(self), "_built": self._built, **changes})
-        other.__post_init__()
+        vars(other).update({**vars(self), "_built": self._built, "known": self.known, **changes})
+        other._keep(changes)
         return other
+
+    @cached_property
+    def known(self) -> dict[Any, Any]:
+        """What others have made of its joints, frames and links, which is the same where it is `changed`."""
+        return {}
 
     @property
     def without_tools(self) -> tuple[Any, ...]:

@@ -84,7 +84,7 @@ def arguments_checked(**words: str) -> Callable[[F], F]:
         def called(*args: Any, **named: Any) -> Any:
             signature, names, hints, exact = known()
             given = {**dict(zip(names, args, strict=False)), **named}
-            if any(type(value) not in exact.get(name, ()) for name, value in given.items()):
+            if any(name in exact and type(value) not in exact[name] for name, value in given.items()):
                 _compare(signature.bind(*args, **named).arguments, hints, words)
             return function(*args, **named)
 

@@ -91,17 +91,18 @@ class Robot:
         self._latest: tuple[tuple[bytes, bytes], Terms] | None = None
         self._latest_tip: tuple[bytes, tuple[Array, Array]] | None = None
         self._upper = _upper(self.n)
-        carrier = self._pin.frames[self._frame].parentJoint
         self.tip_offset: Array = np.array(self._pin.frames[self._frame].placement.translation)
         self.gravity: Array = np.array(self._pin.gravity.linear)
-        self.support: Array = np.zeros(self.n)
-        for joint in list(self._pin.supports[carrier])[1:]:
-            velocities = self._pin.joints[joint]
-            self.support[velocities.idx_v : velocities.idx_v + velocities.nv] = 1.0
-        self.reach = self._reach()
-        data = self._data
-        # Views into Pinocchio's own memory: valid, and always current, as long as `_data` lives.
-        self.views: tuple[Array, ...] = (
+        if ("chain", self.tip) not in model.known:
+            model.known["chain", self.tip] = self._chain()
+        self._carrier, self.support, length, sliding = model.known["chain", self.tip]
+        self.reach: float = length + math.sqrt(self.tip_offset @ self.tip_offset) + sliding
+
+    @cached_property
+    def views(self) -> tuple[Array, ...]:
+        """Views into Pinocchio's own memory: valid, and always current, as long as `_data` lives."""
+        data, carrier = self._data, self._carrier
+        return (
             data.M,
             data.nle,
             data.J.reshape(6, self.n),  # Pinocchio hands out the one column of a single joint as a vector
@@ -115,11 +116,15 @@ class Robot:
         """Return the same robot with memory of its own."""
         return Robot(self.model, self.tip, self.moved)
 
-    def _reach(self) -> float:
-        chain = [int(joint) for joint in self._pin.supports[self._pin.frames[self._frame].parentJoint]][1:]
-        along = [self._pin.jointPlacements[joint].translation for joint in chain]
-        sliding = sum(self.model.joint_types[self._pin.joints[joint].idx_v] == "prismatic" for joint in chain)
-        return sum(math.sqrt(x @ x) for x in (*along, self.tip_offset)) + sliding
+    def _chain(self) -> tuple[int, Array, float, int]:
+        """Return the joint that carries the tip, what moves it, (n,), and how long and of how many sliders that is."""
+        carrier, support, length, sliding = self._pin.frames[self._frame].parentJoint, np.zeros(self.n), 0.0, 0
+        for joint in map(int, list(self._pin.supports[carrier])[1:]):
+            velocities, along = self._pin.joints[joint], self._pin.jointPlacements[joint].translation
+            support[velocities.idx_v : velocities.idx_v + velocities.nv] = 1.0
+            length += math.sqrt(along @ along)
+            sliding += self.model.joint_types[velocities.idx_v] == "prismatic"
+        return carrier, _frozen(support), length, sliding
 
     @cached_property
     def tree(self) -> Tree:

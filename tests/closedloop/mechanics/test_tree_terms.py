@@ -12,7 +12,6 @@ from closedloop.base.errors import ModelError
 from closedloop.jit.interpreted import interpreted
 from closedloop.mechanics.robot.tree import layout, tree_of, tree_potential_energy, tree_turning, work_size
 from closedloop.mechanics.robot.tree.kinematics import sines
-from closedloop.mechanics.robot.tree.model import _fixed
 from robot_models.planar2 import closed_form
 
 # name and tip; solo12 has four legs, ur5 and panda come from example-robot-data
@@ -185,7 +184,7 @@ def test_refuses_what_it_does_not_cover():
     model = robot_models.load("wam4")
 
     class Puck:
-        name = "puck on stick"
+        name, known = "puck on stick", {}
 
         def require_frame(self, tip):
             return tip
@@ -210,7 +209,7 @@ def test_a_load_changes_the_inertia_alone():
         return tree_of(model.changed(tools=(robot_models.Tool("tip", mass=mass),)), "tip")
 
     first, bare = with_load(0.3), tree_of(model, "tip")
-    _fixed.cache_clear()
+    model.known.clear()
     again = with_load(0.3)
     for before, after in zip(first, again, strict=True):
         np.testing.assert_array_equal(before, after)

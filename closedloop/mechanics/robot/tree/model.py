@@ -10,7 +10,6 @@ the centre of mass are added to the parent, and with the origin there the link i
 unchanged.
 """
 
-from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -38,10 +37,13 @@ def tree_of(model: RobotModel, tip: str, built: Any = None) -> Tree:
     """
     pin: Any = model.pinocchio_model() if built is None else built
     frame = pin.frames[pin.getFrameId(model.require_frame(tip))]
-    fixed = _fixed(tuple(_placed(model, pin, joint) for joint in range(1, pin.njoints)))
+    if "fixed" not in model.known:
+        model.known["fixed"] = _fixed(tuple(_placed(model, pin, joint) for joint in range(1, pin.njoints)))
+    fixed: _Fixed = model.known["fixed"]
     kinds, parents = fixed.kinds, fixed.parents
     n, places, masses = len(parents), fixed.places.copy(), np.zeros((len(parents) + 1, 4, 4))  # entry −1 is the base
-    masses[fixed.lasts] = fixed.backs @ _second_moments(list(pin.inertias)[1:]) @ fixed.backs.transpose(0, 2, 1)
+    for last, moments in zip(fixed.lasts, _moments(model, pin, fixed.backs), strict=True):
+        masses[last] = moments
     carrier = last_velocity(pin, frame.parentJoint)
     offset = np.array(frame.placement.translation)
     if carrier >= 0:
@@ -86,7 +88,6 @@ def _placed(model: RobotModel, pin: Any, joint: int) -> tuple[Any, ...]:
     return each, last_velocity(pin, int(pin.parents[joint])), pin.jointPlacements[joint].homogeneous.tobytes("F")
 
 
-@lru_cache(maxsize=8)
 def _fixed(joints: tuple[tuple[Any, ...], ...]) -> _Fixed:
     """Return what depends on the joints alone, each as `_placed` returns it."""
     kinds = np.array([kind for each, _, _ in joints for kind, _ in each], dtype=np.int64)
@@ -247,19 +248,34 @@ _ROW, _COLUMN = np.array([[0, 0, 0, 1, 1, 0, 1, 3], [0, 1, 2, 1, 2, 3, 3, 3]])
 _SHARE = np.array([0.5, 1.0, 1.0, 0.5, 1.0, 1.0, 1.0, 1.0])
 
 
+def _moments(model: RobotModel, pin: Any, backs: Array) -> list[Array]:
+    """Return the second moments (4, 4) of each joint's link in the axes of the tree, see `_Fixed.backs`.
+
+    Those of links that carry no tool are worked out once.
+    """
+    loaded = {pin.frames[pin.getFrameId(tool.frame)].parentJoint for tool in model.tools}
+    known, found = {} if model.whole else model.known.setdefault("moments", {}), []
+    for joint, back in enumerate(backs, 1):
+        moments = None if joint in loaded else known.get(joint)
+        if moments is None:
+            moments = back @ _second_moments(pin.inertias[joint]) @ back.T
+        if joint not in loaded:
+            known[joint] = moments
+        found.append(moments)
+    return found
+
+
 def _transform(R: Array, p: Array) -> Array:
     T = np.eye(4)
     T[:3, :3], T[:3, 3] = R, p
     return T
 
 
-def _second_moments(inertias: list[Any]) -> Array:
-    """Return ∫ [s; 1][s; 1]ᵀ dm (j, 4, 4) of Pinocchio's inertias, with s from the frames' origins."""
-    mass = np.array([each.mass for each in inertias])[:, None]
-    centre, tensor = np.array([each.lever for each in inertias]), np.array([each.inertia for each in inertias])
-    half = tensor.trace(axis1=1, axis2=2)[:, None, None] / 2
-    moments = np.empty((len(inertias), 4, 4))
-    moments[:, :3, :3] = half * np.eye(3) - tensor + mass[:, :, None] * (centre[:, :, None] * centre[:, None])
-    moments[:, :3, 3] = moments[:, 3, :3] = mass * centre
-    moments[:, 3, 3:] = mass
+def _second_moments(inertia: Any) -> Array:
+    """Return ∫ [s; 1][s; 1]ᵀ dm (4, 4) of one of Pinocchio's inertias, with s from the frame's origin."""
+    mass, centre, tensor = inertia.mass, inertia.lever, inertia.inertia
+    moments = np.empty((4, 4))
+    moments[:3, :3] = tensor.trace() / 2 * np.eye(3) - tensor + mass * np.outer(centre, centre)
+    moments[:3, 3] = moments[3, :3] = mass * centre
+    moments[3, 3] = mass
     return moments

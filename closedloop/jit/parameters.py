@@ -103,9 +103,8 @@ def _values(section: Section) -> dict[str, Any]:
     """Return what a section says, by name: of what it leaves out, what `resolved` says, else NaN."""
     resolver = getattr(type(section), "resolved", None)  # on the class: a section looks every missing name up
     resolved: dict[str, Any] = resolver(section) if resolver is not None else {}
-    known, keys = parameter_block(type(section)).layout.shape, _keys(type(section))
-    given = {name: resolved.get(keys[name], getattr(section, keys[name])) for name in known}
-    return {name: math.nan if value is None else value for name, value in given.items()}
+    known, keys, given = parameter_block(type(section)).layout.shape, _keys(type(section)), vars(section) | resolved
+    return {name: math.nan if (value := given[keys[name]]) is None else value for name in known}
 
 
 def pack(section: Section, n: int, where: str, joint_names: Sequence[str] = ()) -> Array:
@@ -117,18 +116,19 @@ def pack(section: Section, n: int, where: str, joint_names: Sequence[str] = ()) 
     `joint_names`: for messages.
     Raises ScenarioError if a list has not one entry a joint.
     """
-    kind = parameter_block(type(section))
-    values, memory, counts = _values(section), np.zeros(kind.count(n)), kind.layout.shape
-    for name, begin, end, shape in kind.layout.places(n).values():
-        value = values[name]
-        if shape:
-            each = _is_per_joint(counts[name])
-            if each and isinstance(value, tuple) and len(value) != n:
-                raise wrong_length(f"{where}.{name}", value, n, joint_names)
-            memory[begin:end].reshape(shape)[:] = value
+    block, numbers = parameter_block(type(section)), list[float]()
+    for (name, value), (_, _, _, shape) in zip(
+        _values(section).items(), block.layout.places(n).values(), strict=True
+    ):
+        if not shape:
+            numbers.append(value)
+        elif not isinstance(value, tuple) or len(shape) > 1:
+            numbers += np.broadcast_to(value, shape).ravel().tolist()
+        elif len(value) == shape[0]:
+            numbers += value
         else:
-            memory[begin] = value
-    return memory
+            raise wrong_length(f"{where}.{name}", value, n, joint_names)
+    return np.array(numbers, dtype=np.float64)
 
 
 def lists_per_joint(section: Section) -> dict[str, tuple[float, ...]]:

@@ -12,7 +12,7 @@ import sys
 import traceback
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, redirect_stdout
-from functools import cache
+from functools import cache, lru_cache
 from importlib.machinery import ModuleSpec, PathFinder
 from importlib.util import find_spec
 from operator import attrgetter
@@ -142,18 +142,18 @@ def _short(path: str) -> str:
 
 def members_of_users(scenario: Scenario) -> dict[str, str]:
     """Return the keys that select a user's class in a scenario, and its name, MODULE:CLASS."""
-    return {key: name for key, name in _picked(scenario) if ":" in name}
-
-
-def _picked(scenario: Scenario) -> Iterator[tuple[str, str]]:
     sure, nested = _keys_of_kinds()
-    yield from zip(sure, attrgetter(*sure)(scenario), strict=True)  # at once, as each call asks for them
-    for key in nested:
-        section, *parts = key.split(".")
-        if (name := _at(getattr(scenario, section), parts)) is not None:
-            yield key, str(name)
-    for i, contact in enumerate(scenario.contact or ()):
-        yield f"contact.{i}.restitution_law", contact.restitution_law
+    names = (*attrgetter(*sure)(scenario), *(_at(scenario, parts) for parts in nested))
+    laws = tuple(contact.restitution_law for contact in scenario.contact or ())
+    return dict(_of_users(names, laws))
+
+
+@lru_cache(maxsize=64)
+def _of_users(names: tuple[str | None, ...], laws: tuple[str, ...]) -> tuple[tuple[str, str], ...]:
+    """Return the keys that select a user's class, and its name, of all names in order, None what is left out."""
+    sure, nested = _keys_of_kinds()
+    keys = (*sure, *map(".".join, nested), *(f"contact.{i}.restitution_law" for i in range(len(laws))))
+    return tuple((key, name) for key, name in zip(keys, (*names, *laws), strict=True) if name and ":" in name)
 
 
 def _at(found: Any, parts: Iterable[str]) -> Any:
@@ -164,10 +164,10 @@ def _at(found: Any, parts: Iterable[str]) -> Any:
 
 
 @cache
-def _keys_of_kinds() -> tuple[list[str], list[str]]:
-    """Return the keys that pick a member: those of a section, and those of one in a section, which may be left out."""
+def _keys_of_kinds() -> tuple[tuple[str, ...], list[list[str]]]:
+    """Return the keys that pick a member: those of sections, and the parts of others, whose section may be left out."""
     keys = list(families())
-    return [key for key in keys if key.count(".") == 1], [key for key in keys if key.count(".") > 1]
+    return tuple(key for key in keys if key.count(".") == 1), [key.split(".") for key in keys if key.count(".") > 1]
 
 
 def member_digests(scenario: Scenario) -> dict[str, str]:

@@ -229,9 +229,8 @@ def refuse_lengths(scenario: Scenario, model: RobotModel) -> None:
 
 def _wrong_lengths(scenario: Scenario, model: RobotModel) -> list[str]:
     """Return what is wrong with the lengths of lists of the law."""
-    joints = ", ".join(model.joint_names)
     return [
-        f"law.{name} has {len(values)} entries: {model.name} has {model.n} joints, {joints}"
+        f"law.{name} has {len(values)} entries: {model.name} has {model.n} joints, {', '.join(model.joint_names)}"
         for name, values in lists_per_joint(scenario.law).items()
         if len(values) != model.n
     ]

@@ -5,7 +5,7 @@ That is a law at its address, columns of the record, readings of encoders.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cache, lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -58,7 +58,7 @@ class PackedLaw(NamedTuple):
 def pack_law(section: ControlLaw | Compensation, n: int, joint_names: Sequence[str] = ()) -> PackedLaw:
     """Turn a law or a compensation into numbers for n joints."""
     where = "law" if isinstance(section, ControlLaw) else "compensation"
-    type(section).check_functions(f"{where}.kind")
+    _check_functions(type(section), f"{where}.kind")
     return PackedLaw(type(section), pack(section, n, where, joint_names), state_block(type(section)).count(n))
 
 
@@ -66,9 +66,15 @@ def pack_friction(section: FrictionLaw, n: int, joints: bool = False) -> PackedL
     """Turn a law of the surface's friction, or of the joints', into numbers for n joints."""
     member, where = type(section), "joint_friction" if joints else "friction"
     if member is not NoFriction:
-        member.check_functions(f"{where}.kind")
+        _check_functions(member, f"{where}.kind")
     numbers = pack_each_joint(section, n, where) if joints else pack(section, n, where)
     return PackedLaw(member, numbers, state_block(member).count(1 if joints else 2))
+
+
+@cache
+def _check_functions(member: Any, key: str) -> None:
+    """Refuse a member that lacks functions, once."""
+    member.check_functions(key)
 
 
 def pack_compliance(section: Compliance, n: int) -> PackedLaw:

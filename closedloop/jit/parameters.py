@@ -117,9 +117,7 @@ def pack(section: Section, n: int, where: str, joint_names: Sequence[str] = ()) 
     Raises ScenarioError if a list has not one entry a joint.
     """
     block, numbers = parameter_block(type(section)), list[float]()
-    for (name, value), (_, _, _, shape) in zip(
-        _values(section).items(), block.layout.places(n).values(), strict=True
-    ):
+    for (name, value), (_, _, _, shape) in zip(_values(section).items(), block.layout.places(n).values(), strict=True):
         if not shape:
             numbers.append(value)
         elif not isinstance(value, tuple) or len(shape) > 1:

@@ -125,9 +125,7 @@ class Parts:
         self._of_section: dict[str, set[int]] = {name: set() for name in SECTIONS}
         self._of_part: dict[str, set[int]] = {name: set() for name in self._made}
         # What each maker is given.
-        self._given = [
-            (Watched(self._of_section, k), Made(self._made, self._of_part, k)) for k in range(len(makers))
-        ]
+        self._given = [(Watched(self._of_section, k), Made(self._made, self._of_part, k)) for k in range(len(makers))]
         self._sections: tuple[Any, ...] = (NOTHING,) * len(SECTIONS)
 
     def forget(self, name: str) -> None:

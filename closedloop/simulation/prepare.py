@@ -313,8 +313,8 @@ def problem_of(scenario: Scenario, model: RobotModel | None, cache: Cache, kept:
     (numbers["integrator"], numbers["tolerance"]), (numbers["steps"], numbers["hold"]) = made["scheme"], made["count"]
     (numbers["q"], numbers["v"]), (numbers["surface"], now, _, numbers["believed"]) = made["start"], made["place"]
     numbers |= {
-        "frame": now.frame, "nodes": numbers["integrator"].parts, "scenario": completed, "bare": given["bare"],
-        "member_digests": given["member_digests"], "model_given": model, "spare": cache.spare,
+        "bare_table": made["table"], "frame": now.frame, "nodes": numbers["integrator"].parts, "scenario": completed,
+        "bare": given["bare"], "member_digests": given["member_digests"], "model_given": model, "spare": cache.spare,
     }  # fmt: skip
     problem = Problem.of(numbers)
     cache.last = (scenario, problem) if kept else None
@@ -407,13 +407,6 @@ def _draws(s: Any, of: Made) -> None:
         table[::nodes, DrawnRow.place("draws", n)] = encoder_draws(s.encoder, steps + 1, n)
 
 
-def _wanted(s: Any, of: Made) -> Desired:
-    """Return what is desired, and write the force into the table."""
-    motion = of.path[0]
-    of.table[:, Reference.place("force", of.robot.n)] = of.forces
-    return Desired(motion.tip, motion.joints, s.force_profile, s.law.force)
-
-
 def _mode(s: Any, of: Made) -> int:
     """Return the contact mode at the start: a tip that rests on a surface with dry friction sticks."""
     (_, now, mode, _), (q, v), robot = of.place, of.start, of.robot
@@ -474,7 +467,7 @@ OF_WHOLE: dict[str, Maker] = {
     "path": _path,
     "table": _table,
     "draws": _draws,
-    "wanted": _wanted,
+    "wanted": lambda s, of: Desired(of.path[0].tip, of.path[0].joints, s.force_profile, s.law.force),
     "pd_start": lambda s, of: _pd_start(s, of.path[0].tip),
     "law": lambda s, of: _packed_law(s, of.pd_start, _model_of(of)),
     "mode": _mode,
@@ -487,7 +480,7 @@ OF_WHOLE: dict[str, Maker] = {
 NUMBERS = (
     "robot", "h", "layout", "friction", "compensation", "joint_friction", "compliance", "sensor", "encoder",
     "transmission", "drives", "stabiliser", "project", "tendons", "stops", "ends", "has_loops", "there", "placed",
-    "table", "wanted", "pd_start", "law", "mode", "shape",
+    "forces", "wanted", "pd_start", "law", "mode", "shape",
 )  # fmt: skip
 _numbers_of = itemgetter(*NUMBERS)
 

@@ -205,7 +205,7 @@ def outside_by_the_scenario(scenario: Scenario, model: RobotModel) -> set[str]:
     outside = set()
     if scenario.friction.kind != "none":
         outside |= {"frictionless", "one_loop"}
-    if scenario.rubs_in_joints or any(map(np.any, loop_dynamics(model))):
+    if scenario.rubs_in_joints or (model.loops and any(map(np.any, loop_dynamics(model)))):
         outside.add("frictionless")
     if scenario.surface.contact == "unilateral":
         outside.add("contact_kept")
@@ -328,9 +328,7 @@ def _chatter(facts: Facts) -> dict[str, Any] | None:
         said.append(f"{joints[worst]:.2g} of the torque of joint {facts.model.joint_names[worst]}")
     text = " and ".join(said) + " alternates from row to row" if said else ""
     steps = facts.steps * (time.step / NOMINAL_STEP if own_steps else 1.0)
-    links = Counter(contact.link for contact in facts.scenario.contact or ())
-    bounces = int(facts.scenario.has_surface) + sum(min(n, BOUNCES_OF_A_BODY) for n in links.values())
-    if facts.events > max(EVENTS_OF_A_BOUNCE * max(1, bounces), steps / STEPS_TO_AN_EVENT):
+    if facts.events and facts.events > max(EVENTS_OF_A_BOUNCE * _bounces(facts.scenario), steps / STEPS_TO_AN_EVENT):
         text += f"{'; ' if text else ''}{facts.events} events in {facts.steps} steps"
     return problem_of("chatter", text) if text else None
 

@@ -444,6 +444,7 @@ class LaneRuns:
         self._alone = np.zeros(WIDE, dtype=np.int64)
         self._addresses.members = address_of(self._alone) if kind.many else 0
         self._tables: list[Array] = []
+        self._given: list[Array] = []  # the force of each
         self._misses, self._has_misses = np.empty((WIDE, like.steps + 1)), False
 
     @property
@@ -453,25 +454,24 @@ class LaneRuns:
 
     def put(self, lane: int, problem: Problem) -> None:
         """Load a problem into a lane; afterwards the table's forces and noise may be overwritten."""
-        n = self.n
         if lane == 0:
-            self._tables.clear()
+            self._tables, self._given = [], []
         loop = self._members[lane].begin(problem) if self.kind.many else None
         constants = problem.constants(self._one) if loop is None else loop.constants
         self._constants[:, lane] = constants.memory
         self._work.q[:, lane], self._work.v[:, lane] = problem.q, problem.v
         self._work.tip.frame[..., lane] = problem.frame
-        force = problem.table[:, Reference.place("force", n)]
-        self._forces[:, lane] = force
-        self._largest[0, lane] = np.abs(force[:: problem.nodes]).max()
-        self._tables.append(problem.table)
-        if loop is not None:
-            self._forces[:, lane] += 0.0  # as the law is told it where it is asked by address
-            if lane == 0:
-                self._state.memory[:] = loop.state.memory
+        self._largest[0, lane] = np.abs(problem.forces[:: problem.nodes]).max()
+        self._given.append(problem.forces)
+        self._tables.append(problem.bare_table)
+        if loop is not None and lane == 0:
+            self._state.memory[:] = loop.state.memory
 
     def run(self, tree: Tree, count: int) -> bool:
         """Run the first `count` lanes; False if one of them could not be finished here."""
+        self._forces[:, :count] = np.transpose(self._given[:count])
+        if self.kind.many:
+            self._forces += 0.0  # as the law is told it where it is asked by address
         for part in (self._constants, self._forces, self._largest, self._work.q, self._work.v, self._work.tip.frame):
             part[..., count:] = part[..., :1]  # unused lanes repeat the first
         addresses = [address_of(table) for table in self._tables[:count]]

@@ -301,6 +301,12 @@ class Problem(ScenarioNumbers):
         """
         return {}
 
+    @cached_property
+    def table(self) -> Array:  # type: ignore[override]
+        """See `ScenarioNumbers`: this problem's forces are written into a `bare_table` when it is first asked for."""
+        self.bare_table[:, Reference.place("force", self.n)] = self.forces
+        return self.bare_table
+
     @classmethod
     def of(cls, numbers: dict[str, Any]) -> Self:
         """Return the problem of its attributes, and of what else is known of it."""
@@ -310,7 +316,8 @@ class Problem(ScenarioNumbers):
 
     def with_table(self, table: Array) -> Self:
         """Return the same problem with another table."""
-        return type(self).of({**vars(self), "table": table})
+        forces = table[:, Reference.place("force", self.n)]
+        return type(self).of({**vars(self), "table": table, "bare_table": table, "forces": forces})
 
     def loop(self, user_law: bool = False, into: Loop | None = None) -> Loop:
         """Return the loop's memory at t = 0; see `make_loop` for `into`."""

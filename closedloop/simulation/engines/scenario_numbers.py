@@ -362,6 +362,16 @@ class ScenarioNumbers:
         return np.array([self.table[0, 2 * self.robot.n + 9], self.pd_start])
 
     @cached_property
+    def forces(self) -> Array:
+        """The desired force at every row of the table (P,), N."""
+        return self.table[:, Reference.place("force", self.n)]
+
+    @cached_property
+    def bare_table(self) -> Array:
+        """The table but for the force, where it has that of another problem of the same path."""
+        return self.table
+
+    @cached_property
     def layout(self) -> Layout:
         """What the kinds of the scenario's members say of the loop and of its record."""
         return Layout.of(self.scenario, self.robot.model)

@@ -193,16 +193,19 @@ class Ensemble:
         one = self._ones[i]
         if one is None or not one.fits(problem):
             one = self._ones[i] = _One(problem, self.steps, self._held, self._members[i], one.loop if one else None)
+            self._make_ready(*kernels_of(COMPILED), step_members, strike, *problem.called(one.loop))
         one.begin(problem, self._tree(problem))
-        in_lanes = [step_in_lanes] if one.member.lanes else []
-        missing = {*kernels_of(COMPILED), step_members, strike, *in_lanes, *problem.called(one.loop)} - self._ready
-        if missing:
-            make_ready(*missing)
-            self._ready |= missing
-        if in_lanes:
+        if one.member.lanes:
+            self._make_ready(step_in_lanes)
             self._forget_trees(problem)
         self.failures[i], self.failed[i] = None, False
         self._last[i] = problem.steps - self.steps
+
+    def _make_ready(self, *called: Any) -> None:
+        """Have kernels compiled, once."""
+        if missing := {*called} - self._ready:
+            make_ready(*missing)
+            self._ready |= missing
 
     def _forget_trees(self, like: Problem) -> None:
         """Let the groups, which are made first if there are none, put in the constants of their arms anew."""

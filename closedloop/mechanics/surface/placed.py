@@ -174,7 +174,8 @@ class PlacedSurface:
             return self
         moved: PlacedSurface = object.__new__(PlacedSurface)
         vars(moved).update(vars(self), origin=tip - (self.radius + self.section.gap - depth) * self.normal)
-        vars(moved).pop("_interpreted", None)  # whose memory has the origin
+        for name in ("_interpreted", "offset"):  # which have the origin
+            vars(moved).pop(name, None)
         return moved
 
     @cached_property
@@ -202,7 +203,7 @@ class PlacedSurface:
             return math.inf
         return float(np.linalg.norm(self.origin) + np.linalg.norm(half))
 
-    @property
+    @cached_property
     def offset(self) -> float:
         """n·p of its origin at t = 0, m: d of a plane; of a ball's centre where it touches that plane."""
         if isinstance(self.section, PlaneSurface) and self.section.offset != "start":

@@ -302,7 +302,7 @@ class Problem(ScenarioNumbers):
         return {}
 
     @cached_property
-    def table(self) -> Array:  # type: ignore[override]
+    def table(self) -> Array:
         """See `ScenarioNumbers`: this problem's forces are written into a `bare_table` when it is first asked for."""
         self.bare_table[:, Reference.place("force", self.n)] = self.forces
         return self.bare_table

@@ -328,7 +328,9 @@ def _chatter(facts: Facts) -> dict[str, Any] | None:
         said.append(f"{joints[worst]:.2g} of the torque of joint {facts.model.joint_names[worst]}")
     text = " and ".join(said) + " alternates from row to row" if said else ""
     steps = facts.steps * (time.step / NOMINAL_STEP if own_steps else 1.0)
-    if facts.events and facts.events > max(EVENTS_OF_A_BOUNCE * _bounces(facts.scenario), steps / STEPS_TO_AN_EVENT):
+    links = Counter(contact.link for contact in facts.scenario.contact or ())
+    bounces = int(facts.scenario.has_surface) + sum(min(n, BOUNCES_OF_A_BODY) for n in links.values())
+    if facts.events > max(EVENTS_OF_A_BOUNCE * max(1, bounces), steps / STEPS_TO_AN_EVENT):
         text += f"{'; ' if text else ''}{facts.events} events in {facts.steps} steps"
     return problem_of("chatter", text) if text else None
 

@@ -237,20 +237,12 @@ def proceed(
     Returns TERMS: evaluate the terms at (q, q̇) and call again. TABLE_FULL: give a larger table of events and call
     again. IMPACT_LAW_WANTED: call `collide`, then again. DONE, or FAILED with state.status.
 
-    Parameters
-    ----------
-    H, C : (n, n), (n,) arrays
-        Terms at (q, q̇) in `w`; Jᵣ, r and J̇ᵣq̇ are in `w`.
-    w, constants, state
-        See `closedloop.loop.step.memory`.
-    table : (P, 2 n + 14) array
-        The reference at the instants of the stages, see `closedloop.loop.step.entries`.
-    tableau : (S + 1, S) array
-        See `closedloop.mechanics.integrators.Scheme.tableau`.
-    rows : (N, width) array
-        The record, see `closedloop.loop.step.record_row.Row`; row state.row is the next to be written.
-    events : (M, EVENT_WIDTH) array
-        The table of events, of which state.event.rows rows are written.
+    `H`, `C`, (n, n), (n,) arrays: terms at (q, q̇) in `w`; Jᵣ, r and J̇ᵣq̇ are in `w`.
+    `w`, `constants`, `state`: see `closedloop.loop.step.memory`.
+    `table` (P, 2 n + 14): the reference at the instants of the stages, see `closedloop.loop.step.entries`.
+    `tableau` (S + 1, S): see `closedloop.mechanics.integrators.Scheme.tableau`.
+    `rows` (N, width): the record, see `closedloop.loop.step.record_row.Row`; row state.row is the next to be written.
+    `events` (M, EVENT_WIDTH): the table of events, of which state.event.rows rows are written.
     """
     phase = state.phase
     if state.settings.general != 0 and phase == MEASURED:

@@ -72,19 +72,12 @@ def decayed(z: float, s: float, p: float) -> float:
 def advance(stage: int, h: float, semi_implicit: bool, substep: bool, tableau: Array, w: Work) -> None:
     """Move the state (q, q̇, z) from this stage's to the next stage's, or after the last stage to the step's end.
 
-    Parameters
-    ----------
-    stage : int
-        The stage whose derivatives q̈ (n,) and ż (k,) are given.
-    h : float
-        Step, s.
-    semi_implicit, substep : bool
-        The semi-implicit scheme: q advances with the new q̇; in a substep after an event with the mean of the old and
-        the new, so that a bounce shorter than the step returns with the speed at which it rose.
-    tableau : (S + 1, S) array
-        See `closedloop.mechanics.integrators.Scheme.tableau`.
-    w : Work
-        In: `begin` (2 n + k,), q, q̇ and z at the beginning of the step; q, v and z of this stage, and its `qdd` and
+    `stage`: the stage whose derivatives q̈ (n,) and ż (k,) are given.
+    `h`: step, s.
+    `semi_implicit`, `substep`: the semi-implicit scheme: q advances with the new q̇; in a substep after an event with
+        the mean of the old and the new, so that a bounce shorter than the step returns with the speed at which it rose.
+    `tableau` (S + 1, S): see `closedloop.mechanics.integrators.Scheme.tableau`.
+    `w`: in: `begin` (2 n + k,), q, q̇ and z at the beginning of the step; q, v and z of this stage, and its `qdd` and
         `dz`; `stages` (S, 2 n + k), the derivatives of the state at each stage so far. Written: this stage's
         derivatives, and q, v and z of the next.
     """

@@ -32,14 +32,9 @@ STILL = 1e-11
 def reference_row(t: float, spacing: float, table: Array, n: int, row: Array) -> None:
     """Write the reference at time t: between the table's rows positions are cubics and the rest is linear.
 
-    Parameters
-    ----------
-    t, spacing : float
-        Time, and time between two rows of the table, s.
-    table : (P, >= 2 n + 10) array
-        q_des, q̇_des, then r_des, ṙ_des and r̈_des of the tip in base axes, then f_des.
-    row : (2 n + 10,) array
-        Written.
+    `t`, `spacing`: time, and time between two rows of the table, s.
+    `table` (P, >= 2 n + 10): q_des, q̇_des, then r_des, ṙ_des and r̈_des of the tip in base axes, then f_des.
+    `row` (2 n + 10,): written.
     """
     x = t / spacing
     at = nearest_row(t, spacing, table.shape[0])

@@ -47,18 +47,11 @@ def evaluate(H: Array, C: Array, w: Work, constants: Constants, state: State, ta
 
     Returns OK, SINGULAR, NOT_POSITIVE_DEFINITE, PAINLEVE, DIVERGED, LAW_FAILED or NO_NORMAL.
 
-    Parameters
-    ----------
-    H, C : (n, n), (n,) arrays
-        Terms of the state, H's upper triangle.
-    w : Work
-        In: w.time, q, q̇, z, Jᵣ, r, J̇ᵣq̇ (and the torque, if it is held). Written: everything else.
-    constants, state
-        See `closedloop.loop.step.memory`.
-    table : (P, 2 n + 14) array
-        See `reference_row`; the last columns are what the force sensor draws.
-    rows : (N, width) array
-        The rows recorded so far: what the memory of friction reads.
+    `H`, `C`, (n, n), (n,) arrays: terms of the state, H's upper triangle.
+    `w`: in: w.time, q, q̇, z, Jᵣ, r, J̇ᵣq̇ (and the torque, if it is held). Written: everything else.
+    `constants`, `state`: see `closedloop.loop.step.memory`.
+    `table` (P, 2 n + 14): see `reference_row`; the last columns are what the force sensor draws.
+    `rows` (N, width): the rows recorded so far: what the memory of friction reads.
     """
     n = w.q.shape[0]
     status = locate_tip(w, constants, state)

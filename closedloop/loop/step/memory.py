@@ -507,24 +507,15 @@ def make_loop(
 ) -> Loop:  # fmt: skip
     """Return a loop's memory, zero everywhere.
 
-    Parameters
-    ----------
-    n : int
-        Joints.
-    law, compensation, friction, joint_friction, compliance : int
-        How many numbers their parameters are; of the joints' friction, those of one joint.
-    tendons : int
-        That rub or have stops.
-    extra : int
-        Numbers of state beside q and q̇.
-    stages : int
-        Of the integrator.
-    ring : int
-        Samples that the force sensor keeps.
-    ends : (n,) array, optional
-        See `closedloop.mechanics.robot.tree.group_ends`; all joints are one group without it.
-    into : Loop, optional
-        Memory that nothing uses any more: if it has these sizes, it is what is returned.
+    `n`: joints.
+    `law`, `compensation`, `friction`, `joint_friction`, `compliance`: how many numbers their parameters are; of the
+        joints' friction, those of one joint.
+    `tendons`: that rub or have stops.
+    `extra`: numbers of state beside q and q̇.
+    `stages`: of the integrator.
+    `ring`: samples that the force sensor keeps.
+    `ends` (n,): see `closedloop.mechanics.robot.tree.group_ends`; all joints are one group without it.
+    `into`: memory that nothing uses any more: if it has these sizes, it is what is returned.
     """
     sizes, of_work = (
         (n, law, compensation, friction, joint_friction, compliance, tendons),

@@ -103,14 +103,9 @@ def remember_approach(w: Work, state: State) -> None:
 def pushed_on_the_way(C: Array, w: Work, constants: Constants, rigid: float) -> bool:
     """Whether the tip has passed a singular pose since the substep began, and the torque pushed it along n there.
 
-    Parameters
-    ----------
-    C : (n,) array
-        Bias.
-    w : Work
-        With everything of Eq. 24, `column` being what drives the joints, N m.
-    rigid : float
-        f without the stabiliser's share, N.
+    `C` (n,): bias.
+    `w`: with everything of Eq. 24, `column` being what drives the joints, N m.
+    `rigid`: f without the stabiliser's share, N.
     """
     n, turned = C.shape[0], 0.0
     way = Approach(w.approach, n)
@@ -165,14 +160,9 @@ def row_is_rounding(C: Array, w: Work, constants: Constants, state: State) -> bo
 def force_in_singular_pose(C: Array, w: Work, constants: Constants, state: State) -> int:
     """Write F and q̈ of a tip in a singular pose, where f has a limit on the way; return OK, PUSHED or SINGULAR.
 
-    Parameters
-    ----------
-    C : (n,) array
-        Bias.
-    w : Work
-        In: everything of Eq. 24, `column` being what drives the joints, N m. Written: F, q̈, `stabiliser_force`,
-        `b`, `rigid_force`, and S_nn, which is zero.
-    state : State
+    `C` (n,): bias.
+    `w`: in: everything of Eq. 24, `column` being what drives the joints, N m. Written: F, q̈, `stabiliser_force`, `b`,
+        `rigid_force`, and S_nn, which is zero.
     """
     way, trace = Approach(w.approach, C.shape[0]), w.tip.S[0, 0] + w.tip.S[1, 1] + w.tip.S[2, 2]
     rate = rate_of_way(w, state, way, max(way.lever[0], math.sqrt(SINGULAR_MOBILITY * trace)))

@@ -58,12 +58,8 @@ def rub_without_pressure(w: Work, b: float) -> float:
     the share of w that gives it the acceleration b of the closure: Filippov's solution, which the two would chatter
     about (A. F. Filippov, Differential Equations with Discontinuous Righthand Sides, Kluwer 1988).
 
-    Parameters
-    ----------
-    w : Work
-        In: S, the free acceleration a with a_n < 0, and w with a_n − S_nt w > 0. Written: F.
-    b : float
-        That of the stabiliser, m/s²: 0 without one.
+    `w`: in: S, the free acceleration a with a_n < 0, and w with a_n − S_nt w > 0. Written: F.
+    `b`: that of the stabiliser, m/s²: 0 without one.
     """
     lifting = -w.tip.S[0, 1] * w.friction.viscous[0] - w.tip.S[0, 2] * w.friction.viscous[1]
     share = min(max((b - w.tip.a[0]) / lifting, 0.0), 1.0)

@@ -45,14 +45,11 @@ APART, COUNT_OF_BOX = 1.0, 12
 def cross_edges(edge: Array, k: int, x: Array, e1: Array, side1: Array, side2: Array, N: Array, at: Array) -> None:
     """Write how edge 1 crosses edge k of the others: N, rows n, t1, t2, and `at`: gap, how far inside, s1, |e1 × e2|.
 
-    Parameters
-    ----------
-    edge : (EDGE,) array
-    k : int
-    x, e1, side1, side2 : (3,) arrays
-        Middle of edge 1, m, its direction, and its sides, axes of the link with the others.
-    N : (3, 3) array
-    at : (4,) array
+    `edge` (EDGE,).
+    `x`, `e1`, `side1`, `side2`, (3,) arrays: middle of edge 1, m, its direction, and its sides, axes of the link with
+        the others.
+    `N` (3, 3).
+    `at` (4,).
     """
     b = EDGE_2 + OF_EDGE_2 * k
     e2, other1, other2 = (
@@ -265,11 +262,7 @@ def reach_of_edges(edge: Array) -> float:
 def edges_of(section: ContactSection, rotation: Array) -> Array:
     """Return the numbers (EDGE,) of a contact of edges.
 
-    Parameters
-    ----------
-    section : ContactSection
-    rotation : (3, 3) array
-        Axes of its frame `link` as columns, in its link's own axes.
+    `rotation` (3, 3): axes of its frame `link` as columns, in its link's own axes.
     """
     pair, found = section.edge, np.zeros(EDGE)
     assert pair is not None

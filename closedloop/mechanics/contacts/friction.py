@@ -124,10 +124,7 @@ class ContactFrictions(NamedTuple):
 def contact_frictions(laws: dict[int, tuple[SurfaceFriction, str]], k: int) -> ContactFrictions:
     """Return the laws of friction of k contacts, with a new memory of each, by the numbers of their contacts.
 
-    Parameters
-    ----------
-    laws : dict
-        The section of each, and what it is called in messages.
+    `laws`: the section of each, and what it is called in messages.
     """
     members: dict[int, tuple[SurfaceFriction, Array]] = {}
     for i, (section, where) in laws.items():

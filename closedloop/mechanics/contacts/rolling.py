@@ -195,11 +195,8 @@ def shape_of(section: ContactSection, rotation: Array) -> Array:
 def lowest_point(shape: Array, axes: Array, n: Array, r: Array) -> float:
     """Write r (3,), from the shape's centre to its lowest point along the unit normal n (3,), m, and return s, m.
 
-    Parameters
-    ----------
-    shape : (7,) array
-    axes : (3, 3) array
-        Those of the link that has the shape, as columns, in the axes of n and r.
+    `shape` (7,).
+    `axes` (3, 3): those of the link that has the shape, as columns, in the axes of n and r.
     """
     m0 = axes[0, 0] * n[0] + axes[1, 0] * n[1] + axes[2, 0] * n[2]
     m1 = axes[0, 1] * n[0] + axes[1, 1] * n[1] + axes[2, 1] * n[2]

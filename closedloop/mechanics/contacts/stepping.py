@@ -63,12 +63,8 @@ def look_ahead(c: Contacts, k: int, h: float, first: bool) -> None:
 def begin_step(links: ContactLinks, c: Contacts, load: Array, h: float, rest_speed: float) -> int:
     """Write F = P/h of a step of h, s, and the modes that it means; return OK, or PAINLEVE if none were found.
 
-    Parameters
-    ----------
-    load : (n,) array
-        L⁻¹(Q − C), less what loops bind.
-    rest_speed : float
-        Below which contacts without one of their own do not rebound, m/s.
+    `load` (n,): L⁻¹(Q − C), less what loops bind.
+    `rest_speed`: below which contacts without one of their own do not rebound, m/s.
     """
     s, n = c.stepping, links.n
     order_joints(c, s, links.k, n)

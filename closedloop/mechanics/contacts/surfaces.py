@@ -56,11 +56,8 @@ class ContactSurfaces(NamedTuple):
 def surface_of(section: ContactSection, name: str = "") -> PlacedSurface | None:
     """Return the surface of a contact in the axes of the frame that carries it, None of a plane at rest.
 
-    Raises
-    ------
-    ScenarioError
-        If it says what the contact says, or is neither flat nor at rest where the shape that touches it is no ball;
-        `name` is the contact's in the message.
+    Raises ScenarioError if it says what the contact says, or is neither flat nor at rest where the shape that touches
+        it is no ball; `name` is the contact's in the message.
     """
     surface, motion = section.surface, section.motion
     if surface is None and motion is None:
@@ -102,10 +99,8 @@ def contact_surfaces(surfaces: dict[int, PlacedSurface], k: int) -> ContactSurfa
 def check_surface(surface: PlacedSurface, place: Array, name: str) -> Touching:
     """Return how a point at `place` (3,), m, axes of the frame that carries a surface, is to it at the start.
 
-    Raises
-    ------
-    ScenarioError
-        If the surface's parameters do not go together, or it has no normal there; `name` is the contact's.
+    Raises ScenarioError if the surface's parameters do not go together, or it has no normal there; `name` is the
+        contact's.
     """
     try:
         return surface.touching(place)

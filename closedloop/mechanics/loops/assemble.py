@@ -69,17 +69,9 @@ def assembled(robot: Robot, memory: LoopMemory, q: Array) -> Array:
 def closed_start(robot: Robot, q: Array, v: Array, assemble: bool) -> tuple[Array, Array]:
     """Return the state nearest to (q, q̇) at which the loops are closed.
 
-    Parameters
-    ----------
-    q, v : (n,) arrays
-        Joint positions, rad (m), and velocities, rad/s (m/s).
-    assemble : bool
-        Whether a posture that is far from closing is to be closed; else it is refused.
-
-    Raises
-    ------
-    ScenarioError
-        If the posture or the velocity does not close the loops, or no posture near it does.
+    `q`, `v`, (n,) arrays: joint positions, rad (m), and velocities, rad/s (m/s).
+    `assemble`: whether a posture that is far from closing is to be closed; else it is refused.
+    Raises ScenarioError if the posture or the velocity does not close the loops, or no posture near it does.
     """
     memory, names = loop_memory(robot), robot.model.joint_names
     error, rate = errors_at(robot, memory, q, v)

@@ -167,17 +167,11 @@ def named_side(robot: Robot, loop: LoopJoint) -> tuple[str, Array]:
 def wrenches(robot: Robot, q: Array, time: Array, rows: Array, forces: Array) -> Array:
     """Return the parts of the reactions (N, c), in the order of `labels_of`, N or N m.
 
-    Parameters
-    ----------
-    robot : Robot
-        With loops.
-    q : (N, nq) array
-    time : (N,) array
-        s.
-    rows : (N, m, n) array
-        G, see `closedloop.mechanics.loops.reactions.loop_rows`.
-    forces : (N, m) array
-        Of the rows, on the first side.
+    `robot`: with loops.
+    `q` (N, nq).
+    `time` (N,): s.
+    `rows` (N, m, n): G, see `closedloop.mechanics.loops.reactions.loop_rows`.
+    `forces` (N, m): of the rows, on the first side.
     """
     found, at = [], 0
     between = [loop for loop in robot.model.loops if loop.type != "gear"]
@@ -224,13 +218,9 @@ def loop_wrenches(robot: Robot, q: Array, reactions: Array) -> Iterator[tuple[tu
 
     It is that on the first side; the second has the opposite. A gear moves its joints from within, as their drives do.
 
-    Parameters
-    ----------
-    robot : Robot
-        With loops.
-    q : (N, nq) array
-    reactions : (N, c) array
-        See `wrenches`.
+    `robot`: with loops.
+    `q` (N, nq).
+    `reactions` (N, c): see `wrenches`.
     """
     at = 0
     for loop in robot.model.loops:
@@ -286,21 +276,13 @@ def loop_reactions(
 ) -> LoopReactions:  # fmt: skip
     """Return what the loops carried: Gᵀλ = H q̈ + C − Q − Jᵣᵀ F, with H, C and Jᵣ of Pinocchio.
 
-    Parameters
-    ----------
-    robot : Robot
-        With loops.
-    time : (N,) array
-        s: frames that move are where they are then.
-    q : (N, nq) array
-    v, acceleration, torque : (N, n) arrays
-        q̇ and q̈; Q and friction in the joints together, N m (N).
-    force : (N, 3) array
-        F of the surface on the tip, N, base frame.
-    at_stop : (N, s) array of bool, optional
-        Stops that are reached, each of which carries its own part.
-    stops : (s, n) array, optional
-        The torque of each of them for a force of one; those of the joints if left out, s = n.
+    `robot`: with loops.
+    `time` (N,): s: frames that move are where they are then.
+    `q` (N, nq).
+    `v`, `acceleration`, `torque`, (N, n) arrays: q̇ and q̈; Q and friction in the joints together, N m (N).
+    `force` (N, 3): F of the surface on the tip, N, base frame.
+    `at_stop` (N, s): stops that are reached, each of which carries its own part.
+    `stops` (s, n): the torque of each of them for a force of one; those of the joints if left out, s = n.
     """
     rows, errors = loop_rows(robot, q, v, time)
     missing = robot.needed_torque(q, v, acceleration, force) - torque
@@ -317,12 +299,9 @@ def loop_reactions(
 def loop_rows(robot: Robot, q: Array, v: Array, time: Array | None = None) -> tuple[Array, Array]:
     """Return the rows G (N, m, n) of a robot's loops at states, and their errors (N, m), m or sines of angles.
 
-    Parameters
-    ----------
-    q : (N, nq) array, or (N, n)
-    v : (N, n) array
-    time : (N,) array, optional
-        s: frames that move are where they are then, or at t = 0.
+    `q`, (N, nq) array, or (N, n).
+    `v` (N, n).
+    `time` (N,): s: frames that move are where they are then, or at t = 0.
     """
     memory = loop_memory(robot)
     states = [np.ascontiguousarray(x).view() for x in (robot.rotation_vectors(q), v)]

@@ -138,16 +138,10 @@ def orthonormal_rows(Z: Array, m: int, order: Array, coefficients: Array, length
     Gram and Schmidt's method, modified; the row that is farthest from the span, relative to its own length, is taken
     next, and orthogonalised once more (L. Giraud, J. Langou and M. Rozložník, Comput. Math. Appl. 50, 2005).
 
-    Parameters
-    ----------
-    Z : (>= m, n) array
-        In: m rows. Out: the basis, in the first rows.
-    order : (m,) array
-        Written: which row each direction was made of.
-    coefficients : (m, m) array
-        Written: of these rows in the basis, lower triangular.
-    lengths : (m,) array
-        Scratch.
+    `Z` (>= m, n): in: m rows. Out: the basis, in the first rows.
+    `order` (m,): written: which row each direction was made of.
+    `coefficients` (m, m): written: of these rows in the basis, lower triangular.
+    `lengths` (m,): scratch.
     """
     n = Z.shape[1]
     for i in range(m):

@@ -293,12 +293,8 @@ def in_blocks(
 ) -> list[list[int]]:
     """Return the numbers of all points: in blocks of those that may share SIMD lanes, the others one by one.
 
-    Parameters
-    ----------
-    threads : int
-        How many threads take blocks; each should get some.
-    lanes : bool
-        Whether lanes may be used: they have no law of a user's.
+    `threads`: how many threads take blocks; each should get some.
+    `lanes`: whether lanes may be used: they have no law of a user's.
     """
     tells_kinds = [at for at, key in enumerate(variants.keys) if not key.startswith(OF_ANY_KIND) or key in OF_A_KIND]
     kinds: dict[tuple[str, ...], list[int]] = {}

@@ -148,20 +148,12 @@ class Outcome:
 class Worker:
     """Runs scenarios in one thread.
 
-    Parameters
-    ----------
-    engine : str
-        "compiled" or "pinocchio", see `closedloop.simulate`.
-    keep : sequence of str
-        Columns to return with the values, see `closedloop.loop.step.record_row.RECORDED`.
-    model : RobotModel, optional
-        The robot to use instead of loading the one that each scenario names.
-    runs : int
-        How many runs there will be, of this worker and others.
-    shared : Cache, optional
-        Cache that the threads share, see `closedloop.simulation.prepare`.
-    law : callable, optional
-        A user's law in place of the scenarios' own, see `closedloop.simulate`; an object is copied for each run.
+    `engine`: "compiled" or "pinocchio", see `closedloop.simulate`.
+    `keep`: columns to return with the values, see `closedloop.loop.step.record_row.RECORDED`.
+    `model`: the robot to use instead of loading the one that each scenario names.
+    `runs`: how many runs there will be, of this worker and others.
+    `shared`: cache that the threads share, see `closedloop.simulation.prepare`.
+    `law`: a user's law in place of the scenarios' own, see `closedloop.simulate`; an object is copied for each run.
     """
 
     def __init__(

@@ -118,34 +118,19 @@ def may_strike_compiled(problem: Problem) -> bool:
 class Ensemble:
     """Simulations of the same arm that are stepped side by side, on several threads.
 
-    Parameters
-    ----------
-    count : int
-        How many.
-    steps : int
-        Steps between two control instants.
-    plan : (l, 3) array
-        What an action sets, see `closedloop.simulation.ensemble.member.act`.
-    numbers : int
-        Numbers of an action.
-    held : bool
-        Whether torques from outside act in place of the scenarios' laws.
-    threads : int
-        The results are the same, to the last bit, for any number.
-
-    Attributes
-    ----------
-    rows : (count, width) array
-        The recorded row of each at its control instant, see `closedloop.loop.step.record_row.Row`; without the
-        condition number.
-    wanted : (count, 2 n + 10) array
-        What is desired there, see `closedloop.loop.step.memory.Reference`.
-    between : (count, BETWEEN) array
-        What happened since the control instant before, see `closedloop.simulation.ensemble.member.Between`.
-    actions : (count, k) array
-        To be written before `step`, SI units.
-    failures, failed : list, (count,) array of bool
-        Why each could not go on, or None; and whether.
+    `count`: how many.
+    `steps`: steps between two control instants.
+    `plan` (l, 3): what an action sets, see `closedloop.simulation.ensemble.member.act`.
+    `numbers`: numbers of an action.
+    `held`: whether torques from outside act in place of the scenarios' laws.
+    `threads`: the results are the same, to the last bit, for any number.
+    `rows`, (count, width) array: the recorded row of each at its control instant, see
+        `closedloop.loop.step.record_row.Row`; without the condition number.
+    `wanted`, (count, 2 n + 10) array: what is desired there, see `closedloop.loop.step.memory.Reference`.
+    `between`, (count, BETWEEN) array: what happened since the control instant before, see
+        `closedloop.simulation.ensemble.member.Between`.
+    `actions`, (count, k) array: to be written before `step`, SI units.
+    `failures`, `failed`, list, (count,) array of bool: why each could not go on, or None; and whether.
     """
 
     def __init__(
@@ -174,10 +159,8 @@ class Ensemble:
 
         Its table, to which actions write, is `own`, or else copied: that of a cache may be another's next.
 
-        Raises
-        ------
-        ScenarioError
-            If a torque cannot act from outside, or the arm has another number of joints than the others.
+        Raises ScenarioError if a torque cannot act from outside, or the arm has another number of joints than the
+            others.
         """
         if self._held:
             refuse_torque(problem)
@@ -250,10 +233,7 @@ class Ensemble:
 
         One that cannot go on has its reason in `failures` from then on, and its rows are those of the instant before.
 
-        Raises
-        ------
-        ValueError
-            If one of them is at its end, or could not go on.
+        Raises ValueError if one of them is at its end, or could not go on.
         """
         going = np.ascontiguousarray(some, dtype=np.int64)
         over = self.failed[going] | (self._members[going, Member.place("target")] > self._last[going])

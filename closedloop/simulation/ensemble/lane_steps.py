@@ -163,12 +163,8 @@ def step_in_lanes(address: int, count: int) -> int:
 
     Returns a number whose bit i is 1 if member i is there; else it is where it was.
 
-    Parameters
-    ----------
-    address : int
-        Of `closedloop.simulation.ensemble.member.Group`.
-    count : int
-        How many there are; other lanes repeat the first.
+    `address`: of `closedloop.simulation.ensemble.member.Group`.
+    `count`: how many there are; other lanes repeat the first.
     """
     g = Group(integers_at(address, GROUP))
     for i in range(count, WIDE):
@@ -322,16 +318,10 @@ def may_step_in_lanes(problem: Problem, state: State, constants: Constants, w: W
 class Lanes:
     """The memory of one thread for members of one mode; see `closedloop.simulation.ensemble.member.Group`.
 
-    Parameters
-    ----------
-    problem : Problem
-        One of the members, for the sizes.
-    mode : int
-        PRESSED or STUCK.
-    steps : int
-        Between two control instants.
-    arrays : dict of arrays
-        By name those that `Group` has the addresses of, of all members.
+    `problem`: one of the members, for the sizes.
+    `mode`: PRESSED or STUCK.
+    `steps`: between two control instants.
+    `arrays`: by name those that `Group` has the addresses of, of all members.
     """
 
     def __init__(self, problem: Problem, mode: int, steps: int, arrays: dict[str, NDArray[Any]]) -> None:

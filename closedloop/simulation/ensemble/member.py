@@ -184,14 +184,9 @@ def make_room(m: Member, a: Addresses, row: int) -> None:
 def act(m: Member, a: Addresses, action: Array, plan: IntArray) -> None:
     """Let an action (k,) act until the next control instant.
 
-    Parameters
-    ----------
-    m, a
-        The member, which stands at a control instant.
-    action : (k,) array
-        SI units.
-    plan : (l, 3) array
-        What is set (TORQUE ...), at which place, and by which number of the action.
+    `m`, `a`: the member, which stands at a control instant.
+    `action` (k,): SI units.
+    `plan` (l, 3): what is set (TORQUE ...), at which place, and by which number of the action.
     """
     state, constants, w = loop_at(a.loop)
     n, nodes = a.n, state.settings.nodes_per_step
@@ -339,21 +334,14 @@ def step_members(
 ) -> None:  # fmt: skip
     """Step some members to their next control instant, without Python.
 
-    Parameters
-    ----------
-    members : (N, MEMBER) array
-        The memory of each.
-    going : (M,) array
-        Numbers of those that are stepped.
-    first, last : int
-        Which entries of `going` are dealt with.
-    actions, plan
-        (N, k) and (l, 3), see `act`; they act where a member stands at a control instant (WAITING).
-    rows, wanted, between : (N, ...) arrays
-        Written, see `tell`, of members that reach it. The others' `Member.request` says what they ask for.
-    groups : (2,) array
-        Addresses of groups for tips that slide and tips that stick, whose memory no other thread has; 0: there are
-        none.
+    `members` (N, MEMBER): the memory of each.
+    `going` (M,): numbers of those that are stepped.
+    `first`, `last`: which entries of `going` are dealt with.
+    `actions`, `plan`: (N, k) and (l, 3), see `act`; they act where a member stands at a control instant (WAITING).
+    `rows`, `wanted`, `between`, (N, ...) arrays: written, see `tell`, of members that reach it. The others'
+        `Member.request` says what they ask for.
+    `groups` (2,): addresses of groups for tips that slide and tips that stick, whose memory no other thread has; 0:
+        there are none.
     """
     for at in range(first, last):
         i = going[at]

@@ -131,6 +131,7 @@ def test_nothing_is_written_but_whole():
         "validation/measured/cubes/closedloop.py",
         "validation/measured/forward.py",
         "validation/speed/bodies.py",
+        "validation/speed/robots.py",
     }  # in a temporary folder, or where a user's own savefig says
     writing = re.compile(
         r"write_text\(|write_bytes\(|\bopen\([^)\n]*[\"'][wxa][b+]*[\"']|savefig\((?!image|file|picture)"

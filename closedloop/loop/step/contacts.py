@@ -142,7 +142,7 @@ def contacts_in_step(address: int, what: int) -> int:
             locate_joints(links, c, w, constants, state)
             status = decide(links, c, (3.0 if state.settings.adaptive != 0 else 1.0) * constants.stick_speed)
         if status == OK:
-            c.step.in_vain = 0.0
+            c.step.in_vain = c.step.follows = 0.0
             if links.shapes != 0:
                 rest_on_feet(links, c)
         elif status == PAINLEVE and links.fresh == 0:

@@ -405,11 +405,12 @@ def sweep(s: JointSpace, a: int) -> None:
 
 
 @kernel
-def find_exactly(s: JointSpace, a: int, n: int) -> bool:
+def find_exactly(s: JointSpace, a: int, n: int, again: bool = False) -> bool:
     """Write P and u of the a contacts but for rounding; return whether they are found: nearly all are.
 
     From no impulses, with the ρ of all and with their own; and, where Newton's method does not come from there, along
-    the solutions of problems that lie between the associated one, which is convex, and that of Coulomb's friction.
+    the solutions of problems that lie between the associated one, which is convex, and that of Coulomb's friction. That
+    takes long, and is not tried `again` where it just failed.
     """
     s.associated, s.alike = 0.0, 1.0
     for attempt in range(2):
@@ -417,6 +418,8 @@ def find_exactly(s: JointSpace, a: int, n: int) -> bool:
         if solve_in_joint_space(s, a, n, FIRST_RHO if attempt == 0 else 1.0):
             return True
         s.alike = 0.0
+    if again:
+        return False
     for steps in STEPS:
         start_at_rest(s, a, n)
         s.associated = 1.0

@@ -121,6 +121,7 @@ class TimeStep(Block, sizes=("n", "k")):
     struck: float  # when the last tangential impact was, s
     in_vain: float  # 1 if there were no modes after it; 0 again likewise
     at_once: float  # 1 while its impulses have just been written
+    follows: float  # 1 if the last step was one of these: no modes are found; 2 if its contacts were compliant
     # of an integrator that steps in time: 1 if the step under way puts something back, and then by what it moves q
     shifts: float
     shift: Annotated[Array, N]  # rad (m), of ball joints in axes of their links

@@ -42,6 +42,7 @@ from closedloop.mechanics.limits import (
     TOUCHING,
     TURNED,
     VANISHING,
+    WEDGED,
 )
 
 # What happened to a contact, as the kinds of `closedloop.loop.events.table`.
@@ -85,7 +86,7 @@ def decide(links: ContactLinks, c: Contacts, slow: float) -> int:
     write_motion(c, k, c.viscous)
     for r in range(3 * k):
         c.F[r], c.problem.q[r] = 0.0, c.a[r] - added(c, r)
-    found = solve_contacts(links, c)
+    found = solve_contacts(links, c, 1.0, WEDGED, c.step.follows != 0.0)
     for i in range(k):  # friction of a contact that pulls is μ |f|
         if (
             found
@@ -94,7 +95,7 @@ def decide(links: ContactLinks, c: Contacts, slow: float) -> int:
             and (c.problem.along[i, 0] != 0.0 or c.problem.along[i, 1] != 0.0)
         ):
             c.problem.along[i, 0], c.problem.along[i, 1] = -c.problem.along[i, 0], -c.problem.along[i, 1]
-            found = solve_contacts(links, c)
+            found = solve_contacts(links, c, 1.0, WEDGED, c.step.follows != 0.0)
     if not found:
         return PAINLEVE
     for i in range(links.joints):

@@ -84,6 +84,8 @@ def from_impact(links: ContactLinks, c: Contacts, coming: float) -> bool:
 
 # What happened to a contact, as the kinds of `closedloop.loop.events.table`.
 TIME_STEP = 10.0
+# `TimeStep.follows`.
+FOLLOWS, COMPLIANT = 1.0, 2.0
 
 
 @kernel
@@ -106,7 +108,8 @@ def begin_time_step(links: ContactLinks, c: Contacts, time: float) -> None:
     for i in range(links.points + links.stops):  # a compliant one sinks in
         if c.soft[i] == 0.0 and c.problem.form[i] != OFF:
             c.problem.q[3 * i] += TENTH * min(c.located[3 * i], 0.0) / TIME_STEP_SPAN
-    solve_impulses(links, c, TIME_STEP_SPAN)
+    found = solve_impulses(links, c, TIME_STEP_SPAN, c.step.follows == COMPLIANT)
+    c.step.follows = FOLLOWS if found else COMPLIANT
     links.stepped, c.step.end = 1, time + TIME_STEP_SPAN
     told = False
     for i in range(k):

@@ -18,22 +18,26 @@ from closedloop.mechanics.limits import ITERATIONS, STIFF, WEDGED
 
 
 @kernel
-def solve_contacts(links: ContactLinks, c: Contacts, share: float = 1.0, most: float = WEDGED) -> bool:
+def solve_contacts(
+    links: ContactLinks, c: Contacts, share: float = 1.0, most: float = WEDGED, again: bool = False
+) -> bool:  # fmt: skip
     """Write F and `after`, u = q + W F, of the contacts whose form is not OFF; return whether they were found.
 
     X, q, form, mu and along are read, and `share` of the normal forces that are known. Forces `most` times what is
-    asked for are none: contacts are then wedged.
+    asked for are none: contacts are then wedged. What was not found just before is sought `again` with less effort.
     """
     a = pack_contacts(links, c, share)
-    found = a == 0 or (find_exactly(c.stepping, a, links.n) and not is_wedged(c.stepping, a, most))
+    found = a == 0 or (find_exactly(c.stepping, a, links.n, again) and not is_wedged(c.stepping, a, most))
     unpack_contacts(links, c, a)
     return bool(found)
 
 
 @kernel
-def solve_impulses(links: ContactLinks, c: Contacts, span: float) -> None:
+def solve_impulses(links: ContactLinks, c: Contacts, span: float, again: bool = False) -> bool:
     """Do `solve_contacts` for impulses of a time, s: there always are; those of compliant contacts if none is found."""
-    if not solve_contacts(links, c, span, STIFF):
+    found = solve_contacts(links, c, span, STIFF, again)
+    if not found:
         a = pack_contacts(links, c, span)
         solve_softly(c.stepping, a, links.n, ITERATIONS)
         unpack_contacts(links, c, a)
+    return found

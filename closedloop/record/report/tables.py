@@ -276,7 +276,10 @@ def notes(run: Record) -> list[str]:
         ("friction", _energy_fault(run.scenario.friction, load)),
         ("joint_friction", _energy_fault(run.scenario.joint_friction, 1.0, run.v.shape[1])),
         *(
-            (f"contact.{i}.friction_law", _energy_fault(section.friction_law, np.max(run.link_forces[:, i])))
+            (
+                f"contact.{i}.friction_law",
+                _energy_fault(section.friction_law, np.max(run.link_forces[:, i], initial=0.0)),
+            )
             for i, section in enumerate(run.scenario.contact or ())
         ),
         ("gains", run_gains_fault(run)),

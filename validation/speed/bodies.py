@@ -15,9 +15,8 @@ import closedloop as cl
 import robot_models
 from closedloop.scenario.load import load_scenario, parse_scenario
 from closedloop.simulation.engines.problem import Problem
-from closedloop.simulation.simulate import run_loop
 from validation.oracle.spatial import Array
-from validation.speed.contestants import CONES, Contestant, mj_step_with
+from validation.speed.contestants import CONES, Contestant, lap_of, mj_step_with
 
 CUBE, HEIGHTS = "cube_toss", (2, 5, 10)
 TOWERS = tuple(f"tower_{n}" for n in HEIGHTS)
@@ -70,12 +69,7 @@ def ours(name: str, by: str) -> Contestant:
     if by != "compiled":
         problem = cl.prepare(problem.scenario.replace({"time.integrator": by}), problem.robot.model)
 
-    def lap() -> tuple[float | None, Array | None]:
-        rows, _, failure, seconds = run_loop(problem, engine="compiled")
-        if failure is not None:
-            raise failure
-        return seconds, np.array(rows[-1, : problem.robot.n])
-
+    lap = lap_of(problem)
     end = lap()[1]
     rests = None if name == CUBE else problem.q
     what = "compiled engine" if by == "compiled" else "time stepping"

@@ -68,12 +68,24 @@ def mj_step_with(cone: str) -> tuple[str, str]:
     return ("mj_step" if cone == CONES[0] else f"mj_step_{cone}"), f"MuJoCo: bare mj_step, {cone} cones"
 
 
+def lap_of(problem: Problem, law: Any = None, engine: str = COMPILED, entries: int | None = None) -> Lap:
+    """Return a lap of a loop of ours, which comes to q (n,) at the end, or its first entries."""
+    count = problem.robot.n if entries is None else entries
+
+    def lap() -> tuple[float | None, Array | None]:
+        rows, _, failure, seconds = run_loop(problem, law, engine=engine)
+        if failure is not None:
+            raise failure
+        return seconds, np.array(rows[-1, :count])
+
+    return lap
+
+
 def final(problem: Problem, law: Any = None) -> Array:
     """Return where the arm ends, q (n,): what every loop that does the whole work must come to."""
-    rows, _, failure, _ = run_loop(problem, law, engine="compiled")
-    if failure is not None:
-        raise failure
-    return np.array(rows[-1, : problem.robot.n])
+    end = lap_of(problem, law)()[1]
+    assert end is not None
+    return end
 
 
 def converged(problem: Problem, law: Any = None) -> Array:
@@ -90,15 +102,10 @@ def with_errors(racing: Sequence[Contestant], problem: Problem, law: Any = None)
 
 def our_engine(arm: str, problem: Problem, engine: str) -> Contestant:
     """Return a loop of our own: law, terms, Eq. 24, integration and recording."""
-
-    def lap() -> tuple[float | None, Array | None]:
-        rows, _, failure, seconds = run_loop(problem, engine=engine)
-        if failure is not None:
-            raise failure
-        return seconds, rows[-1, : problem.robot.n].copy()
-
     what = "compiled engine" if engine == "compiled" else "Pinocchio engine"
-    return Contestant(engine, arm, problem.robot.n, problem.steps, lap, final(problem), 1e-11, what)
+    return Contestant(
+        engine, arm, problem.robot.n, problem.steps, lap_of(problem, engine=engine), final(problem), 1e-11, what
+    )
 
 
 def whole_call(arm: str, problem: Problem) -> tuple[Contestant, Contestant]:
@@ -135,15 +142,10 @@ def user_law(arm: str, problem: Problem) -> Contestant:
                 torque[j] -= kp[j] * (q[j] - path[i, 0, j]) + kd[j] * (v[j] - path[i, 1, j])
 
     compiled: Any = law
-
-    def lap() -> tuple[float | None, Array | None]:
-        rows, _, failure, seconds = run_loop(problem, compiled, engine="compiled")
-        if failure is not None:
-            raise failure
-        return seconds, np.array(rows[-1, : problem.robot.n])
-
     what = "compiled, a user's law"
-    return Contestant("own_law", arm, problem.robot.n, problem.steps, lap, final(problem), 1e-11, what)
+    return Contestant(
+        "own_law", arm, problem.robot.n, problem.steps, lap_of(problem, compiled), final(problem), 1e-11, what
+    )
 
 
 def bare_calls(arm: str, problem: Problem) -> Contestant:

@@ -15,9 +15,8 @@ import closedloop as cl
 import robot_models
 from closedloop.scenario.load import parse_scenario
 from closedloop.simulation.engines.problem import Problem
-from closedloop.simulation.simulate import run_loop
 from validation.oracle.spatial import Array
-from validation.speed.contestants import CONES, Contestant, mj_step_with, with_errors
+from validation.speed.contestants import CONES, Contestant, lap_of, mj_step_with, with_errors
 
 BOXES = ("box_slides", "box_stands")
 SLIDES, STANDS = BOXES
@@ -76,12 +75,7 @@ def boxed(name: str) -> Problem:
 def ours(name: str, problem: Problem) -> Contestant:
     """Return our compiled engine, without torque in the joints."""
 
-    def lap() -> tuple[float | None, Array | None]:
-        rows, _, failure, seconds = run_loop(problem, no_torque, engine="compiled")
-        if failure is not None:
-            raise failure
-        return seconds, np.array(rows[-1, :6])
-
+    lap = lap_of(problem, no_torque, entries=6)
     wanted = lap()[1]
     return Contestant("compiled", name, 6, STEPS, lap, wanted, 1e-11, "compiled engine")
 

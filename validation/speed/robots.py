@@ -13,9 +13,8 @@ import numpy as np
 import closedloop as cl
 import robot_models
 from closedloop.scenario.load import SHIPPED
-from closedloop.simulation.simulate import run_loop
 from validation.oracle.spatial import Array
-from validation.speed.contestants import CONES, Contestant, mj_step_with
+from validation.speed.contestants import CONES, Contestant, lap_of, mj_step_with
 
 ROBOTS = ("car", "quadruped")
 STEPS, STEP, FRICTION, ABOVE = 1000, 1e-3, 0.6, 0.02
@@ -77,12 +76,7 @@ def ours(name: str) -> Contestant:
         file.write_text(xml_of(name))
         problem = cl.prepare(scenario_of(name), robot_models.load(file))
 
-    def lap() -> tuple[float | None, Array | None]:
-        rows, _, failure, seconds = run_loop(problem, engine="compiled")
-        if failure is not None:
-            raise failure
-        return seconds, np.array(rows[-1, :3])
-
+    lap = lap_of(problem, entries=3)
     return Contestant("compiled", name, problem.robot.n, STEPS, lap, lap()[1], 1e-9, "time stepping")
 
 

@@ -9,9 +9,8 @@ from typing import Any
 import numpy as np
 
 import closedloop as cl
-from closedloop.simulation.simulate import run_loop
 from validation.oracle.spatial import Array
-from validation.speed.contestants import CONES, Contestant, mj_step_with
+from validation.speed.contestants import CONES, Contestant, lap_of, mj_step_with
 
 SCENES = ("stack_3", "dominoes", "can", "bin_4", "bin_8", "bin_20")
 STEPS, STEP, FRICTION, WALL = 1500, 1e-3, 0.5, 0.15
@@ -69,12 +68,7 @@ def ours(name: str) -> Contestant:
     """Return time stepping in our compiled engine."""
     problem = cl.prepare(scenario_of(name))
 
-    def lap() -> tuple[float | None, Array | None]:
-        rows, _, failure, seconds = run_loop(problem, engine="compiled")
-        if failure is not None:
-            raise failure
-        return seconds, np.array(rows[-1, : problem.robot.n])
-
+    lap = lap_of(problem)
     return Contestant("compiled", name, problem.robot.n, STEPS, lap, lap()[1], 1e-9, "time stepping")
 
 

@@ -328,12 +328,14 @@ def residual_of(s: JointSpace, a: int, n: int) -> float:
 def solve_in_joint_space(s: JointSpace, a: int, n: int, first: float) -> bool:
     """Write P and u of the a contacts but for rounding, from P, with the first ρ; return whether they are found.
 
-    Rounds end when they no longer lessen the residual.
+    Rounds end when they no longer lessen the residual. Where rows nearly depend on others it is then more than rounding:
+    the rest would take forces without bound.
     """
     stiffness, before = first, math.inf
     for _ in range(ITERATIONS):
         s.residual = residual_of(s, a, n)
-        if s.residual <= EXACT or 0.5 * before < s.residual <= 10.0 * EXACT:
+        stalls = stiffness == STIFFEST_RHO and MOST_OF * before < s.residual <= SLIGHT
+        if s.residual <= EXACT or stalls or 0.5 * before < s.residual <= 10.0 * EXACT:
             return True
         slow, before = s.residual > max(0.5 * before, STIFF * EXACT), s.residual
         if not s.residual < math.inf:

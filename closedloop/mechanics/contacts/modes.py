@@ -98,10 +98,11 @@ def decide(links: ContactLinks, c: Contacts, slow: float) -> int:
             found = solve_contacts(links, c, 1.0, WEDGED, c.step.follows != 0.0)
     if not found:
         return PAINLEVE
+    nothing = max(VANISHING * size, c.stepping.residual * c.stepping.asked)
     for i in range(links.joints):
         if c.friction.pulls[i] == 0.0 or stops_slipping(c, i):
             margin = SHAPE_ROUNDING if links.shapes != 0 else 1.0
-            mode = mode_after(c, i, VANISHING * size, links.chattering != 0, margin)
+            mode = mode_after(c, i, nothing, links.chattering != 0, margin)
             if is_resistance(c, i):
                 mode = FREE if mode_of_resistance(c, i) == FREE else mode
             elif carries_nothing(links, c, i):

@@ -87,7 +87,7 @@ def let_stay(links: ContactLinks, c: Contacts, rest_speed: float) -> None:
     """Take from contacts that others have made part, too slowly to leave, what they part with; write the energy lost.
 
     A body that rocks so slowly is at rest: what is left of its turning would decide how its feet slip. Where none
-    strikes, `rest_speed` is negative: slips stay, but nothing closed moves, by which others would seem to part.
+    strikes, `rest_speed` is negative: nothing moves against its mode, by which others would seem to part.
     """
     k, fastest, struck = links.k, 0.0, -energy_gained(c, links.k)
     for i in range(k):
@@ -96,7 +96,7 @@ def let_stay(links: ContactLinks, c: Contacts, rest_speed: float) -> None:
         if stays:
             fastest = max(fastest, c.problem.after[3 * i])
         slip = math.hypot(c.problem.after[3 * i + 1], c.problem.after[3 * i + 2])
-        rests = rest_speed >= 0.0 and slip <= own_rest_speed(c, i, rest_speed) and c.mu[i] > 0.0
+        rests = c.mode[i] == STUCK if rest_speed < 0.0 else slip <= own_rest_speed(c, i, rest_speed) and c.mu[i] > 0.0
         stays = stays and not is_resistance(c, i)  # it may roll on
         if not pulls:
             c.problem.form[i] = OFF if not stays else (CONE if rests else RAY)

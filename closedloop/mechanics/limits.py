@@ -47,9 +47,6 @@ SMALL = limit("SMALL", 1e-3, "1", "what is less does not count")
 SOME_ROUNDING = limit(
     "SOME_ROUNDING", 10.0, "1", "what is outside by up to so many times the force that is rounding is not outside"
 )
-SHAPE_ROUNDING = limit(
-    "SHAPE_ROUNDING", 1e5, "1", "so many times VANISHING may be what a solution is off where shapes touch"
-)
 
 # Speeds.
 RESTING = limit(

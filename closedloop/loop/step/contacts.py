@@ -330,18 +330,18 @@ def margin_of(links: ContactLinks, c: Contacts, k: int, slow: float, rest: float
     integrator that chooses its steps would need endlessly many for the turns of the direction at the very end. One that
     is slower than `slow` has begun, or fades away.
     """
-    least = rim_margin(links, c, h) if links.shapes != 0 else math.inf
+    least, inside = rim_margin(links, c, h) if links.shapes != 0 else math.inf, c.problem.rounding - c.problem.beyond
     for i in range(k):
         n = 3 * i
         if c.friction.pulls[i] == 0.0:
             if c.mode[i] == FREE:
                 least = min(least, open_margin(c, i))
                 continue
-            least = min(least, c.rigid[n] + c.problem.rounding if c.soft[i] == 0.0 else soft_margin(c, i))
+            least = min(least, c.rigid[n] + inside if c.soft[i] == 0.0 else soft_margin(c, i))
         least = min(least, c.inside[i])
         if c.mode[i] == STUCK:
             left = cone_limit(c, i) * abs(c.rigid[n]) - math.hypot(c.rigid[n + 1], c.rigid[n + 2])
-            least = min(least, left + c.problem.rounding)
+            least = min(least, left + inside)
         elif stops_slipping(c, i) and c.friction.shared[i] == 0.0:
             along = c.u[n + 1] * c.direction[i, 0] + c.u[n + 2] * c.direction[i, 1]
             start = c.friction.start_slip[i]

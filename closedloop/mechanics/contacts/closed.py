@@ -48,5 +48,5 @@ def solve_one(c: Contacts, k: int, i: int) -> bool:
         asked = max(asked, c.size[r] + abs(c.b[r]))
     for j in range(3):
         size, most = max(size, abs(rigid[j])), max(most, S[j, j])
-    c.problem.rounding = DEPENDENT * max(size, asked / most)
+    c.problem.rounding, c.problem.beyond = DEPENDENT * max(size, asked / most), 0.0
     return True

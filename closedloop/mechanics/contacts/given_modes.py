@@ -107,7 +107,7 @@ def solve_modes(links: ContactLinks, c: Contacts, inside: bool = True) -> int:
                 asked = max(asked, c.size[3 * i + r] + abs(c.b[3 * i + r]))
     write_known(links, c)
     p = list_unknowns(links, c, most)
-    c.problem.rounding = rounding_of(c, k, asked / most) if most > 0.0 else 0.0
+    c.problem.rounding, c.problem.beyond = rounding_of(c, k, asked / most) if most > 0.0 else 0.0, 0.0
     if p == 0:
         return OK
     if p == 1 and pulled_in(c, int(g.row[0]) // 3):
@@ -392,6 +392,7 @@ def inside_cones(c: Contacts, k: int, F: Array) -> bool:
 def share_forces(links: ContactLinks, c: Contacts) -> None:
     """Replace `rigid` and F, which are not unique, by the shortest inside the cones that do the same, if there are any.
 
+    Where there are none `rigid` is the nearest, and `beyond` says how far off: it grows from zero as the modes end.
     Normal forces that are known keep theirs, and so does what goes with them.
     """
     k = links.k
@@ -400,8 +401,8 @@ def share_forces(links: ContactLinks, c: Contacts) -> None:
     for i in range(k):
         c.scratch.mu[i] = c.problem.form[i]
         c.problem.form[i] = OFF if is_known(links, c, i) else c.problem.form[i]
-    find_inside(links, c, 0, c.rigid)
-    if not find_inside(links, c, 1, c.F):
+    c.problem.beyond = find_inside(links, c, 0, c.rigid)
+    if find_inside(links, c, 1, c.F) > 0.0:
         for r in range(3 * k):
             c.F[r] = c.rigid[r] + c.scratch.trial[r]
     for i in range(k):
@@ -409,8 +410,8 @@ def share_forces(links: ContactLinks, c: Contacts) -> None:
 
 
 @kernel
-def find_inside(links: ContactLinks, c: Contacts, side: int, force: Array) -> bool:
-    """Replace forces (3 k,) by the shortest inside the cones that do the same; return whether there are any.
+def find_inside(links: ContactLinks, c: Contacts, side: int, force: Array) -> float:
+    """Replace forces (3 k,) by the shortest inside the cones that do the same; return how far the nearest are off, N.
 
     They do the same if they give the rows the same acceleration: along the basis of these, where they are fewer than n.
     They move the tree alike too, unless a contact slides: the friction of contacts that share a normal force otherwise
@@ -430,15 +431,14 @@ def find_inside(links: ContactLinks, c: Contacts, side: int, force: Array) -> bo
             s.wanted[j] += row[j] * (force[at] + c.viscous[at])
     for i in range(0 if whole else a):
         s.first[i], s.end[i] = 0, m
-    if not find_least(s, a, m):
-        return False
+    off = float(find_least(s, a, m))
     for i in range(a):
         at = 3 * int(s.number[i])
         for r in range(3):
             force[at + r] = s.P[3 * i + r] - c.viscous[at + r]
         if s.normal[i] == OWNED:
             force[at] = force[3 * int(s.number[int(s.given[i])])]
-    return True
+    return off
 
 
 @kernel

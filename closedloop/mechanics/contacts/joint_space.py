@@ -436,8 +436,8 @@ def find_exactly(s: JointSpace, a: int, n: int, again: bool = False) -> bool:
 
 
 @kernel
-def find_least(s: JointSpace, a: int, n: int) -> bool:
-    """Write the shortest P in the cones with Xᵀ P = `wanted`; return whether there is one.
+def find_least(s: JointSpace, a: int, n: int) -> float:
+    """Write the shortest P in the cones with Xᵀ P = `wanted`, or nearest to it; return how far that is off, N s.
 
     It is Π(X λ), the nearest in the cones, of a λ for which Newton's method starts at the last y / −ρ: that of the
     shortest outside. Of bilateral contacts and resistances P is in the cones, and nearly the shortest.
@@ -450,7 +450,8 @@ def find_least(s: JointSpace, a: int, n: int) -> bool:
     s.residual, s.asked = FOUND, math.sqrt(size * s.largest)
     do_round(s, a, n, 1.0, False, SMALL * SMALL)
     s.held = 0.0
-    return bool(dot(s.off, s.off, n) <= VANISHING * VANISHING * size)
+    off = dot(s.off, s.off, n)
+    return math.sqrt(off / s.largest) if off > VANISHING * VANISHING * size else 0.0
 
 
 @kernel

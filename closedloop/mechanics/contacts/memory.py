@@ -71,6 +71,7 @@ class Problem(Block, sizes=("n", "k")):
     q: Annotated[Array, 3 * K]
     after: Annotated[Array, 3 * K]  # u⁺
     rounding: float  # force below which there is none, N
+    beyond: float  # how far the nearest forces inside the cones are from those that the modes need, N
     points: float  # 1 if only points touch
     ends: float  # 1 if a slow slip ends within the step, see `closedloop.mechanics.contacts.turning`
 

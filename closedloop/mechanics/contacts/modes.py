@@ -35,7 +35,6 @@ from closedloop.mechanics.limits import (
     HOVERING,
     PARTING,
     RESTING,
-    SHAPE_ROUNDING,
     SINKING,
     STICK_SPEED,
     SUNK,
@@ -101,8 +100,7 @@ def decide(links: ContactLinks, c: Contacts, slow: float) -> int:
     nothing = max(VANISHING * size, c.stepping.residual * c.stepping.asked)
     for i in range(links.joints):
         if c.friction.pulls[i] == 0.0 or stops_slipping(c, i):
-            margin = SHAPE_ROUNDING if links.shapes != 0 else 1.0
-            mode = mode_after(c, i, nothing, links.chattering != 0, margin)
+            mode = mode_after(c, i, nothing, links.chattering != 0)
             if is_resistance(c, i):
                 mode = FREE if mode_of_resistance(c, i) == FREE else mode
             elif carries_nothing(links, c, i):
@@ -191,11 +189,11 @@ def carries_nothing(links: ContactLinks, c: Contacts, i: int) -> bool:
 
 
 @kernel
-def mode_after(c: Contacts, i: int, nothing: float, repeated: bool = False, margin: float = 1.0) -> int:
+def mode_after(c: Contacts, i: int, nothing: float, repeated: bool = False) -> int:
     """Return the mode that goes with force and acceleration of contact i, and write that of a slip that begins.
 
-    At the edge of the cone there is hardly any acceleration: a contact that is found to stick there again and again
-    slips, against the friction that would have to hold it.
+    At the edge of the cone there is hardly any acceleration: a contact slips against its friction, and so does one that
+    is found to stick there again and again.
     """
     at = 3 * i
     leaves = c.problem.after[at] > nothing and not is_resistance(c, i)
@@ -211,8 +209,7 @@ def mode_after(c: Contacts, i: int, nothing: float, repeated: bool = False, marg
             return PRESSED
         if size <= nothing and not (repeated and c.event.outside[i] != 0.0 and friction > 0.0):
             return STUCK
-        if size <= margin * nothing and friction > 0.0:
-            # All of it may be what the solution is off: it slips against its friction.
+        if friction > 0.0:  # the acceleration may be what the solution is off
             if size > nothing and friction < INSIDE * c.mu[i] * abs(c.F[at]) and c.friction.shared[i] == 0.0:
                 return STUCK
             a1, a2, size = -c.F[at + 1], -c.F[at + 2], friction

@@ -43,7 +43,7 @@ def apply_impulses(links: ContactLinks, c: Contacts, rest_speed: float) -> int:
         c.event.pulled[i] = 1.0 if c.mode[i] != FREE and c.rigid[3 * i] + inside < 0.0 else 0.0
         friction = math.hypot(c.rigid[3 * i + 1], c.rigid[3 * i + 2])
         left = cone_limit(c, i) * abs(c.rigid[3 * i]) - friction + inside
-        c.event.outside[i] = 1.0 if c.mode[i] == STUCK and left < 0.0 else 0.0
+        c.event.outside[i] = 1.0 if c.mode[i] == STUCK and left < 0.0 and c.event.pulled[i] == 0.0 else 0.0
         if (
             c.event.outside[i] != 0.0 and c.friction.sticks[i] != SMOOTH and friction > 0.0
         ):  # where it slips, if it begins to

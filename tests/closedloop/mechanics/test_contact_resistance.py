@@ -333,5 +333,5 @@ def test_the_resistance_of_an_open_contact_has_no_share_of_forces_that_are_not_u
     force[6:9] = [2.0, 0.4, -0.2]
     c.given.rank, c.given.whole, c.given.slides = 6, 1.0, 0.0
     c.given.z[0] = np.linalg.pinv(2.0 * c.X[6:9].T @ c.X[6:9]) @ c.X[6:9].T @ force[6:9]
-    assert interpreted(find_inside)(links, c, 0, force)
+    assert interpreted(find_inside)(links, c, 0, force) == 0.0
     np.testing.assert_allclose(force, [0.0] * 6 + [1.0, 0.2, -0.1] * 2 + [0.0] * 3, atol=1e-12)

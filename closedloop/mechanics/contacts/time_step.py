@@ -105,6 +105,9 @@ def begin_time_step(links: ContactLinks, c: Contacts, time: float) -> None:
         return
     for r in range(3 * k):
         c.problem.q[r], c.before[r] = c.before[r] + TIME_STEP_SPAN * c.a[r], c.u[r]
+    for i in range(links.points + links.stops):  # a compliant one sinks in
+        if c.soft[i] == 0.0 and c.problem.form[i] != OFF:
+            c.problem.q[3 * i] += TENTH * min(c.located[3 * i], 0.0) / TIME_STEP_SPAN
     found = solve_impulses(links, c, TIME_STEP_SPAN, c.step.follows == COMPLIANT)
     c.step.follows = FOLLOWS if found else COMPLIANT
     links.stepped, c.step.end = 1, time + TIME_STEP_SPAN

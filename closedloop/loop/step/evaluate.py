@@ -79,8 +79,8 @@ def evaluate(H: Array, C: Array, w: Work, constants: Constants, state: State, ta
     if status != OK:
         return status
     if state.settings.general != 0:
-        if state.joint_friction.sticking == RIGID_STICK and state.settings.time_stepping == 0:
-            hold_joints(w, constants, state)
+        holds = state.joint_friction.sticking == RIGID_STICK and state.settings.time_stepping == 0
+        if holds and hold_joints(w, constants, state):
             status = contact_force(C, w, constants, state)
             if status != OK:
                 return status

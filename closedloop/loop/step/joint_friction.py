@@ -100,24 +100,25 @@ def add_joint_friction(w: Work, constants: Constants, state: State, rows: Array)
 
 
 @kernel
-def hold_joints(w: Work, constants: Constants, state: State) -> None:
+def hold_joints(w: Work, constants: Constants, state: State) -> bool:
     """Add the dry friction of a law that sticks rigidly to the torque of friction on each joint, and that of tendons.
 
-    Reads q̈ and F of Eq. 24 without it; afterwards Eq. 24 is to be solved again.
+    Reads q̈ and F of Eq. 24 without it. Returns whether Eq. 24 is to be solved again: not without dry friction.
     """
-    n, h = w.q.shape[0], constants.h
+    n, h, some = w.q.shape[0], constants.h, False
     F, y, a, target = w.scratch.force, w.scratch.column, w.scratch.acceleration, w.scratch.target
     limit, dry, none = w.joint_friction.limit, w.joint_friction.held, w.scratch.none
     none[0], none[1] = 0.0, 0.0
     if state.coupled != 0:
         links, _ = contacts_at(state.contacts.at)
         if links.undecided != 0:  # the modes and the friction of joints are sought together
-            return
+            return False
     joint_limits(w, constants, state)
     for r in range(n + state.tendons):
         dry[r] = w.joint_friction.mobility[r] = 0.0
         if not limit[r] > 0.0:
             continue
+        some = True
         # Row r of the answer: q̈ to a torque of 1 N m in joint r, or a force in tendon r − n, the contact as it is.
         for i in range(n):
             y[i] = part_of(constants, r, i)
@@ -154,7 +155,7 @@ def hold_joints(w: Work, constants: Constants, state: State) -> None:
         own = rate_along(constants, r, answer)
         if own > AT_EDGE * alone:
             w.joint_friction.mobility[r] = own
-    for _ in range(SWEEPS):
+    for _ in range(SWEEPS if some else 0):
         change = 0.0
         for r in range(n + state.tendons):
             own = w.joint_friction.mobility[r]
@@ -171,6 +172,7 @@ def hold_joints(w: Work, constants: Constants, state: State) -> None:
             break
     for r in range(n + state.tendons):
         add_along(constants, r, dry[r], w.joint_friction.torque)
+    return some
 
 
 @kernel

@@ -347,23 +347,23 @@ def solve_in_joint_space(s: JointSpace, a: int, n: int, first: float) -> bool:
 
 
 @kernel
-def solve_step(s: JointSpace, a: int, n: int) -> bool:
-    """Write P and u of the a contacts of a time step, from P; return whether they are found.
+def solve_step(s: JointSpace, a: int, n: int, enough: float = SLIGHT) -> bool:
+    """Write P and u of the a contacts of a time step, from P, to a residual; return whether they are found.
 
     By rounds from P; where these fail, by rounds after sweeps, which come near a solution from anywhere, if slowly.
     """
     for attempt in range(REFINEMENTS):
         for _ in range(ITERATIONS if attempt > 0 else 0):
             sweep(s, a)
-        do_rounds(s, a, n)
+        do_rounds(s, a, n, enough)
         if s.residual <= NEAR:
             break
     return bool(s.residual <= NEAR)
 
 
 @kernel
-def do_rounds(s: JointSpace, a: int, n: int) -> None:
-    """Do rounds until the residual is SLIGHT: ρ grows where Newton's steps are whole, falls where the residual grows.
+def do_rounds(s: JointSpace, a: int, n: int, enough: float) -> None:
+    """Do rounds until the residual is `enough`: ρ grows where Newton's steps are whole, falls where the residual grows.
 
     Of contacts whose rows depend on each other one may have to open: the residual stays until its impulse is gone. What
     a round leaves of its equations counts 1/ρ of that in impulses.
@@ -371,7 +371,7 @@ def do_rounds(s: JointSpace, a: int, n: int) -> None:
     stiffness = FIRST_RHO
     s.residual = residual_of(s, a, n)
     for _ in range(ITERATIONS):
-        if s.residual <= SLIGHT or not s.residual < math.inf:
+        if s.residual <= enough or not s.residual < math.inf:
             break
         before = s.residual
         for r in range(3 * a):

@@ -44,7 +44,7 @@ from closedloop.mechanics.contacts.memory import INSIDE, ContactLinks, Contacts,
 from closedloop.mechanics.contacts.order import order_joints
 from closedloop.mechanics.contacts.resistance import is_resistance
 from closedloop.mechanics.contacts.soft import force_at, soft_gap
-from closedloop.mechanics.limits import AHEAD, FOUND, HALVINGS, HOVERING, STIFF, TENTH, TURNED
+from closedloop.mechanics.limits import AHEAD, FOUND, HALVINGS, HOVERING, SLIGHT, STIFF, TENTH, TURNED
 
 
 @kernel
@@ -70,8 +70,9 @@ def begin_step(links: ContactLinks, c: Contacts, load: Array, h: float, rest_spe
     order_joints(c, s, links.k, n)
     a = write_problem(links, c, load, h, rest_speed, 1.0)
     s.associated = s.alike = 0.0
-    found = a == 0 or solve_step(s, a, n)
-    if some_rebound(s, a) and not (found and adds_no_energy(s, a)):
+    rebounds = some_rebound(s, a)
+    found = a == 0 or solve_step(s, a, n, FOUND if rebounds else SLIGHT)
+    if rebounds and not (found and adds_no_energy(s, a)):
         found = lessen_restitution(links, c, load, h, rest_speed)
     if not found or is_wedged(s, a):
         write_problem(links, c, load, h, rest_speed, 0.0)
@@ -127,11 +128,11 @@ def lessen_restitution(links: ContactLinks, c: Contacts, load: Array, h: float, 
     for _ in range(HALVINGS):
         middle = 0.5 * (low + high)
         a = write_problem(links, c, load, h, rest_speed, middle)
-        if solve_step(s, a, n) and adds_no_energy(s, a):
+        if solve_step(s, a, n, FOUND) and adds_no_energy(s, a):
             low = middle
         else:
             high = middle
-    return bool(solve_step(s, write_problem(links, c, load, h, rest_speed, low), n))
+    return bool(solve_step(s, write_problem(links, c, load, h, rest_speed, low), n, FOUND))
 
 
 @kernel

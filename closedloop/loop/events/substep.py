@@ -30,7 +30,7 @@ from closedloop.loop.events.locate import (
     request_terms,
 )
 from closedloop.loop.events.table import REVERSAL, SLIP_AGAIN, STICK
-from closedloop.loop.step.contacts import ADVANCE_FRICTION, SAVE, closed_depth, force_over_load, slips_turn
+from closedloop.loop.step.contacts import ADVANCE_FRICTION, SAVE, force_over_load, slips_turn
 from closedloop.loop.step.energy_supplied import save_power
 from closedloop.loop.step.evaluate import SPEED_LIMIT
 from closedloop.loop.step.joint_friction import advance_joint_friction
@@ -39,6 +39,7 @@ from closedloop.loop.step.solve_contact import near_singular, remember_approach
 from closedloop.mechanics.closure.contact_force import FREE, PRESSED
 from closedloop.mechanics.closure.solve import CHATTER, CROWDED, DIVERGED, OK, RUBS
 from closedloop.mechanics.contacts.memory import contacts_at
+from closedloop.mechanics.contacts.modes import closed_depth
 from closedloop.mechanics.contacts.rolling import shapes_at, some_stand
 from closedloop.mechanics.friction.answers import ADVANCE_STATES
 from closedloop.mechanics.limits import (

@@ -48,7 +48,7 @@ from closedloop.mechanics.contacts.memory import (
     joints_of,
     joints_rub,
 )
-from closedloop.mechanics.contacts.modes import decide, open_margin, touches
+from closedloop.mechanics.contacts.modes import closed_depth, decide, open_margin, touches
 from closedloop.mechanics.contacts.resistance import has_resistance, is_resistance
 from closedloop.mechanics.contacts.rolling import longest_roll, rest_on_feet, rim_margin, rolls, shapes_at
 from closedloop.mechanics.contacts.soft import let_friction_rise, soft_margin
@@ -331,11 +331,12 @@ def margin_of(links: ContactLinks, c: Contacts, k: int, slow: float, rest: float
     is slower than `slow` has begun, or fades away.
     """
     least, inside = rim_margin(links, c, h) if links.shapes != 0 else math.inf, c.problem.rounding - c.problem.beyond
+    depth = closed_depth(links, c)
     for i in range(k):
         n = 3 * i
         if c.friction.pulls[i] == 0.0:
             if c.mode[i] == FREE:
-                least = min(least, open_margin(c, i))
+                least = min(least, open_margin(c, i, depth))
                 continue
             least = min(least, c.rigid[n] + inside if c.soft[i] == 0.0 else soft_margin(c, i))
         least = min(least, c.inside[i])
@@ -409,16 +410,6 @@ def save_contacts(links: ContactLinks, c: Contacts) -> None:
         )
         if c.mode[i] == PRESSED and speed > (STICK_SPEED if c.friction.rises == 0.0 else STILL):
             c.direction[i, 0], c.direction[i, 1] = c.u[3 * i + 1] / speed, c.u[3 * i + 2] / speed
-
-
-@kernel
-def closed_depth(links: ContactLinks, c: Contacts) -> float:
-    """Return the least gap of the rigid contacts that are closed, m, zero if none is below its surface."""
-    least = 0.0
-    for i in range(links.points + links.stops):
-        if c.mode[i] != FREE and c.soft[i] == 0.0:
-            least = min(least, c.located[3 * i])
-    return float(least)
 
 
 @kernel

@@ -328,7 +328,7 @@ def residual_of(s: JointSpace, a: int, n: int) -> float:
 def solve_in_joint_space(s: JointSpace, a: int, n: int, first: float) -> bool:
     """Write P and u of the a contacts but for rounding, from P, with the first ρ; return whether they are found.
 
-    Rounds end when they no longer lessen the residual. Where rows nearly depend on others it is then more than rounding:
+    Rounds end when they no longer lessen the residual. Where rows nearly depend on others that is more than rounding:
     the rest would take forces without bound.
     """
     stiffness, before = first, math.inf

@@ -57,14 +57,28 @@ def touches(links: ContactLinks, c: Contacts, i: int) -> bool:
 
 
 @kernel
-def open_margin(c: Contacts, i: int) -> float:
-    """Return what is left until contact i, which is open, closes, m; beside its surface until it comes back onto it."""
+def closed_depth(links: ContactLinks, c: Contacts) -> float:
+    """Return the least gap of the rigid contacts that are closed, m, zero if none is below its surface."""
+    least = 0.0
+    for i in range(links.points + links.stops):
+        if c.mode[i] != FREE and c.soft[i] == 0.0:
+            least = min(least, c.located[3 * i])
+    return float(least)
+
+
+@kernel
+def open_margin(c: Contacts, i: int, depth: float = 0.0) -> float:
+    """Return what is left until contact i, which is open, closes, m; beside its surface until it comes back onto it.
+
+    A contact that has parted and not been clear since goes with the error of a step: it may sink as deep, `depth`, as
+    the contacts that are closed.
+    """
     if c.past_edge[i] != 0.0:
         back = c.located[3 * i] >= -BEYOND_EDGE and c.inside[i] < math.inf
         return float(HOVERING - c.inside[i]) if back else math.inf
     if c.gaps.cleared[i] != 0.0:
         return float(c.located[3 * i] - c.gaps.floor[i] + CLOSED_GAP)
-    return float(c.located[3 * i] - max(c.gaps.floor[i] - SINKING, min(-SUNK, c.gaps.floor[i] - DEEPER)))
+    return float(c.located[3 * i] - depth - max(c.gaps.floor[i] - SINKING, min(-SUNK, c.gaps.floor[i] - DEEPER)))
 
 
 @kernel
@@ -185,7 +199,12 @@ def carries_nothing(links: ContactLinks, c: Contacts, i: int) -> bool:
         return False
     if c.mode[i] != FREE:
         return bool(c.event.pulled[i] != 0.0 or c.event.outside[i] != 0.0)
-    return bool(links.fresh == 0 and c.soft[i] == 0.0 and c.event.struck[i] == 0.0 and open_margin(c, i) > 0.0)
+    return bool(
+        links.fresh == 0
+        and c.soft[i] == 0.0
+        and c.event.struck[i] == 0.0
+        and open_margin(c, i, closed_depth(links, c)) > 0.0
+    )
 
 
 @kernel

@@ -437,10 +437,11 @@ def find_exactly(s: JointSpace, a: int, n: int, again: bool = False) -> bool:
 
 @kernel
 def find_least(s: JointSpace, a: int, n: int) -> float:
-    """Write the shortest P in the cones with Xᵀ P = `wanted`, or nearest to it; return how far that is off, N s.
+    """Write the shortest P in the cones with Xᵀ P = `wanted`; or one with the nearest, and return how far that is, N s.
 
     It is Π(X λ), the nearest in the cones, of a λ for which Newton's method starts at the last y / −ρ: that of the
-    shortest outside. Of bilateral contacts and resistances P is in the cones, and nearly the shortest.
+    shortest outside. Of bilateral contacts and resistances P is in the cones, and nearly the shortest. Where the cones
+    just reach `wanted`, or do not, λ has no bound: the nearest is then that of rounds from P = 0.
     """
     s.held, s.associated, s.alike, size = 1.0, 1.0, 1.0, dot(s.wanted, s.wanted, n)
     for j in range(n):
@@ -450,6 +451,16 @@ def find_least(s: JointSpace, a: int, n: int) -> float:
     s.residual, s.asked = FOUND, math.sqrt(size * s.largest)
     do_round(s, a, n, 1.0, False, SMALL * SMALL)
     s.held = 0.0
+    if dot(s.off, s.off, n) <= VANISHING * VANISHING * size:
+        return 0.0
+    for r in range(3 * a):
+        i, row = r // 3, row_of(s.X, r)
+        for j in range(int(s.first[i]), int(s.end[i])):
+            s.q[r] -= row[j] * s.wanted[j]
+    start_at_rest(s, a, n)
+    solve_in_joint_space(s, a, n, FIRST_RHO)
+    for j in range(n):
+        s.off[j] = s.y[j] - s.wanted[j]
     off = dot(s.off, s.off, n)
     return math.sqrt(off / s.largest) if off > VANISHING * VANISHING * size else 0.0
 

@@ -1,9 +1,13 @@
 """Several scenarios under the same variations."""
 
+import itertools
+
 import numpy as np
+import pandas as pd
 import pytest
 
 import closedloop as cl
+from closedloop.studies.comparison.compare import Comparison
 
 OVER = {"friction.coefficient": [0.1, 0.3], "law.force": [8.0, 10.0]}
 
@@ -123,3 +127,11 @@ def test_a_users_law_stands_among_the_shipped_six(tmp_path, monkeypatch):
     assert np.array_equal(seen["own_laws_compared:Own"], seen["impedance"])
     assert all(np.isfinite(each).all() and each.min() > 0.0 for each in seen.values())
     assert not np.array_equal(seen["paper"], seen["impedance"])
+
+
+def test_a_run_is_good_if_it_is_done_and_both_verdicts_are():
+    """Of all combinations one counts."""
+    states = itertools.product(("done", "stopped"), ("good", "energy"), ("good", "force_error"))
+    frame = pd.DataFrame(states, columns=["status", "verdict", "control_verdict"]).assign(scenario="one", peak=1.0)
+    (row,) = Comparison(frame, ("peak",), {}).table().to_dict("records")
+    assert (row["runs"], row["good"]) == (8, 1)

@@ -5,11 +5,12 @@ from dataclasses import replace
 
 import numpy as np
 import pandas as pd
+import pinocchio as pin
 import pytest
 
 import closedloop as cl
 from closedloop.command.compare import main
-from closedloop.studies.comparison.explain import Hypothesis, alike_rows, explain
+from closedloop.studies.comparison.explain import Hypothesis, alike_rows, explain, of_joints, of_torques
 from closedloop.studies.comparison.recording import Recording, of_run, read_recording
 from closedloop.studies.identify.log import LogError
 
@@ -84,6 +85,39 @@ def test_what_torques_lack_is_named(run, plant, name, value):
     if first.name == name:
         np.testing.assert_allclose(first.value, value, rtol=0.05)
     assert first.left < 0.02
+
+
+def test_what_a_payload_and_a_force_add_is_that_of_the_robot_with_them(run):
+    """Torques of a point mass at the tip, by inverse dynamics of the arm that has it; of a force, by virtual work."""
+    robot = cl.prepare(run.scenario).robot
+    model, loaded = robot.model.pinocchio_model(), robot.model.pinocchio_model()
+    frame = model.frames[model.getFrameId(robot.tip)]
+    payload = pin.Inertia(0.7, np.zeros(3), np.zeros((3, 3)))
+    loaded.appendBodyToJoint(frame.parentJoint, payload, frame.placement)
+    rng = np.random.default_rng(4)
+    motion = q, v, a = tuple(rng.normal(size=(3, 40, 2)))
+    both = [[pin.rnea(each, each.createData(), *row) for row in zip(q, v, a, strict=True)] for each in (loaded, model)]
+    normal, time = rng.normal(size=(40, 3)), np.arange(40.0)
+    pressed = [-5.0 * robot.position_and_jacobian(x)[1].T @ n for x, n in zip(q, normal, strict=True)]
+    torque = rng.normal(size=(40, 2))
+    for residual, name, value in (
+        (np.subtract(*both), "payload at the tip", 0.7), (np.array(pressed), "force along the normal at the tip", 5.0),
+    ):  # fmt: skip
+        column, hypotheses = of_torques(residual, time, ("J1", "J2"), motion, torque, robot, normal)
+        (given,) = (h for h in hypotheses if h.name == name)
+        np.testing.assert_allclose(value * given.columns[:, 0], column, atol=1e-9)
+
+
+def test_what_is_read_late_has_a_delay_above_zero():
+    """Positions and torques at t are those of t − 2 ms; a joint gives as its torque pushes it."""
+    t = np.linspace(0.0, 2.0, 2001)
+    x, rate = np.sin(3.0 * t)[:, None], 3.0 * np.cos(3.0 * t)[:, None]
+    change = np.sin(3.0 * (t - 2e-3))[:, None] - x
+    for column, hypotheses in (
+        of_joints(change, ("J1",), rate, x), of_torques(change, t, ("J1",), (x, rate, x), x, None, None),
+    ):  # fmt: skip
+        (delay,) = (h for h in hypotheses if h.name == "delay")
+        np.testing.assert_allclose(2e-3 * delay.columns[:, 0], column, atol=2e-5)
 
 
 def test_the_sign_of_a_force_is_found_out(run):

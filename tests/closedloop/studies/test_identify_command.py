@@ -2,6 +2,7 @@
 
 import json
 import tomllib
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
@@ -14,7 +15,10 @@ import robot_models
 from closedloop.command.identify import main
 from closedloop.studies.identify.log import LogError
 from closedloop.studies.identify.read import log_of_run, read_log
-from closedloop.studies.identify.written import physical
+from closedloop.studies.identify.regressor import Regressor, Terms
+from closedloop.studies.identify.written import LEAST, _logarithms, physical, robot_files
+
+PRODUCTS = [[0.05, 0.001, 0.002], [0.001, 0.06, 0.003], [0.002, 0.003, 0.07]]  # kg m²
 
 
 @pytest.fixture(scope="module")
@@ -155,7 +159,30 @@ def test_bodies_that_can_be_keep_the_torque(log):
         assert np.linalg.eigvalsh(mine.toMatrix()).min() > 0.0
     assert body.distance < 1.0
     np.testing.assert_allclose(body.relative_error, found.relative_error, rtol=0.05)
+    left = found.measured - found.regressor.averaged(found.motion) @ body.parameters
+    error = np.sqrt(((left * found.used) ** 2).sum(axis=0) / ((found.measured * found.used) ** 2).sum(axis=0))
+    np.testing.assert_allclose(body.relative_error, error, rtol=1e-9)
     assert np.abs(found.base.grouping @ body.parameters - true_base(found)).max() < 0.05
+
+
+@pytest.mark.parametrize("name", ["wam4", "ur10"])
+def test_a_written_robot_has_the_parameters_that_were_given(name):
+    """All ten of each link, with products of inertia and centres of mass anywhere, from logarithms and from a file."""
+    robot = robot_models.load(name)
+    bodies = list(robot.pinocchio_model().inertias)[1:]
+    for body in bodies:
+        again = pin.LogCholeskyParameters(_logarithms(body)).toDynamicParameters()
+        if np.linalg.eigvalsh(body.toPseudoInertia().toMatrix()).min() > LEAST:
+            np.testing.assert_allclose(again, body.toDynamicParameters(), atol=1e-9)
+    regressor = Regressor(robot, Terms())
+    moved = [pin.Inertia(b.mass + 1.0, b.lever + 0.01, b.inertia + np.array(PRODUCTS)) for b in bodies]
+    given = np.concatenate([*(b.toDynamicParameters() for b in moved), np.full(4 * robot.n, 0.3)])
+    found = SimpleNamespace(robot=robot, regressor=regressor)
+    urdf, _ = robot_files(found, given, "a test")
+    written = pin.buildModelFromXML(urdf)
+    for joint, body in zip(robot.joint_names, moved, strict=True):
+        mine = written.inertias[written.getJointId(joint)]
+        np.testing.assert_allclose(mine.toDynamicParameters(), body.toDynamicParameters(), atol=1e-12)
 
 
 @pytest.mark.parametrize(

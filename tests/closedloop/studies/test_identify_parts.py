@@ -1,17 +1,19 @@
 """The parts of an identification, each by what defines it: windows, columns of coupled joints, the filter, pieces."""
 
 import itertools
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from identified import simulated
 from scipy import signal, stats
 
 import closedloop as cl
 import robot_models
-from closedloop.studies.identify.fit import UNIQUE, fit, told_apart
+from closedloop.studies.identify.fit import UNIQUE, _autoregression, _covariance, fit, told_apart
 from closedloop.studies.identify.identify import PIECES, _pieces
-from closedloop.studies.identify.log import Log, LogError, check_velocities
+from closedloop.studies.identify.log import Log, LogError, check_velocities, checked
 from closedloop.studies.identify.motion import (
     ABOVE_MOTION,
     Motion,
@@ -205,3 +207,39 @@ def test_velocities_are_compared_by_the_trapezoidal_rule():
     for share, said in ((0.3, "0.288"), (3.0, "2.88")):  # the rule loses 4 % of such a wave
         with pytest.raises(LogError, match=f"velocities of J1 are {said} times the rate of its positions"):
             check_velocities(q, share * v, 1.0, robot, "log")
+
+
+def test_the_covariance_is_that_of_all_windows_with_each_other(monkeypatch):
+    """Of 60 windows of correlated noise, pair by pair: rows φ^|t − t'| s²/(1 − φ²) rowsᵀ, the first windows too."""
+    monkeypatch.setattr("closedloop.studies.identify.fit.FEWEST", 1e12)  # intervals as of a normal distribution
+    noise = signal.lfilter([1.0], [1.0, -0.9], np.random.default_rng(3).normal(size=260))[200:, None]
+    X, used = np.stack([np.ones((60, 1)), np.linspace(-1.0, 1.0, 60)[:, None]], axis=2), np.ones((60, 1), dtype=bool)
+    rows, sigma = np.linalg.pinv(X[:, 0]), noise.std(axis=0)
+    found, phi = _covariance(rows.T[:, None], X / sigma, noise, noise, used, sigma)
+    step = _autoregression(X / sigma, noise, used, sigma)[1]
+    apart = np.abs(np.subtract.outer(np.arange(60), np.arange(60)))
+    assert phi[0] > 0.5
+    np.testing.assert_allclose(found, rows @ (phi**apart * step**2 / (1.0 - phi**2)) @ rows.T, rtol=1e-9, atol=1e-9)
+
+
+def test_parameters_of_a_slider_have_the_units_of_one():
+    """A force, N, where a joint slides, and a torque, N m, where it turns."""
+    robot = robot_models.load("planar2")
+    slides = replace(robot, joint_types=("revolute", "prismatic"))
+    regressor = Regressor(slides, Terms())
+    assert [regressor.unit(f"{kind}_{robot.joint_names[1]}") for kind in ("dry", "viscous", "drive_inertia")] == [
+        "N", "N s/m", "kg",
+    ]  # fmt: skip
+    assert regressor.unit(f"dry_{robot.joint_names[0]}") == "N m"
+
+
+def test_parts_of_a_log_are_all_of_it():
+    """One after the other, to the last row; and velocities go with their joints where columns come in another order."""
+    log, robot = simulated("planar2", count=1001)
+    log = replace(log, v=np.gradient(log.q, log.step, axis=0))
+    both = [log.part(*ends) for ends in ((0.0, 0.3), (0.3, 1.0))]
+    for name in ("time", "q", "torque", "v"):
+        assert np.array_equal(np.concatenate([getattr(part, name) for part in both]), getattr(log, name))
+    turned = {name: getattr(log, name)[:, ::-1] for name in ("q", "torque", "v")}
+    again = checked(replace(log, joint_names=log.joint_names[::-1], **turned), robot)
+    assert np.array_equal(again.v, log.v)

@@ -2,17 +2,19 @@
 
 import json
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from linear_loops import DAMPING, MASS, STIFFNESS, mass_on_a_spring
 from scipy.linalg import expm
+from scipy.spatial.transform import Rotation
 
 import closedloop as cl
 from closedloop.simulation.prepare import prepare
 from closedloop.studies.analysis.assembly import instant_of
 from closedloop.studies.analysis.here import Here
-from closedloop.studies.analysis.reduced import columns
+from closedloop.studies.analysis.reduced import Reduced, columns
 
 ALONG_N = ("contact", "law", "sensor", "delay", "filter", "hold")
 
@@ -336,3 +338,26 @@ def test_names_are_refused_with_those_that_there_are(spring):
     with pytest.raises(cl.ScenarioError, match="output 'q': there is none; there are contact force, tip x"):
         spring.response("load", "q")
     assert json.dumps([pole.as_dict() for pole in spring.poles()], allow_nan=False)
+
+
+def test_derivatives_of_cubics_are_exact():
+    """What is left by central differences at two steps is of fourth order: none of a cubic, whose rate is known."""
+    here = SimpleNamespace(
+        flat=lambda held, q=np.zeros(2): np.array([q[0] + 5e5 * q[0] ** 3 - q[1], 2.0 * q[1] - 4e4 * q[1] ** 3]),
+        places={"qdd": slice(0, 2)},
+    )
+    found = columns(here, "q", np.full(2, 1e-6), False)["qdd"]
+    np.testing.assert_allclose(found, [[1.0, -1.0], [0.0, 2.0]], atol=1e-9)
+
+
+def test_a_small_rotation_of_a_ball_joint_turns_with_its_link():
+    """R exp(δ) beside R, both with ω in the axes of the link: the rate of δ is −ω × δ."""
+    omega, apart, h = np.array([0.3, -1.1, 0.7]), np.array([2e-5, 1e-5, -3e-5]), 1e-4
+    joints = SimpleNamespace(n=4, instant=SimpleNamespace(values={"v": np.array([9.0, *omega])}))
+    joints.problem = SimpleNamespace(robot=SimpleNamespace(model=SimpleNamespace(balls=[1])))
+    found = Reduced.turning(joints)
+    on = Rotation.from_rotvec(h * omega)
+    later = (on.inv() * Rotation.from_rotvec(apart) * on).as_rotvec()
+    np.testing.assert_allclose(found[1:, 1:] @ apart, (later - apart) / h, atol=1e-8)
+    assert not found[0].any()
+    assert not found[:, 0].any()

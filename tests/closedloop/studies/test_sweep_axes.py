@@ -20,6 +20,9 @@ def test_axes_are_what_they_say():
     np.testing.assert_allclose(values_of("law.force=5:15:11"), np.arange(5.0, 16.0), rtol=1e-15)
     values = values_of("stabiliser.time_constant=log:1e-4:1e-2:5")
     assert (values[0], values[-1]) == (1e-4, 1e-2)
+    for low, high in np.random.default_rng(0).uniform(0.1, 9.0, size=(200, 2)).tolist():
+        for some in (values_of(f"law.force={log}{low!r}:{high!r}:4") for log in ("log:", "")):
+            assert (some[0], some[-1]) == (low, high)
     np.testing.assert_allclose(np.diff(np.log(values)), np.log(100) / 4, rtol=1e-12)
     assert values_of("law.force=15:5:3") == [15.0, 10.0, 5.0]
     assert values_of("law.force=5,10") == [5.0, 10.0]

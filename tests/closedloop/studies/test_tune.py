@@ -146,6 +146,20 @@ def test_values_of_runs_that_stop_and_margins_of_loops_that_are_unstable():
     assert unstable[3] == pytest.approx(-loop.margins().modulus, rel=1e-6)
 
 
+def test_values_are_those_of_their_point_and_their_variation():
+    """Of three points under two variations each: those of runs that are made one by one."""
+    scenario = cl.load_scenario("planar2_slide", {"time.duration": 0.2, "reference.start": 0.0, "law.pd_start": 0.0})
+    over = {"law.force": [8.0, 12.0]}
+    runs = Runs(scenario, varied(scenario, {"law.kd[1]": (5.0, 60.0)}), {"peak_contact_force": 1.0}, [], over)
+    points = np.array([[0.0], [0.4], [1.0]])
+    found = runs.values(points)[:, :, 0]
+    assert len(set(found.ravel())) == found.size
+    for x, row in zip(points, found, strict=True):
+        for force, value in zip(over["law.force"], row, strict=True):
+            one = cl.simulate(scenario.replace(runs.changes(x) | {"law.force": force}), engine="compiled")
+            assert value == pytest.approx(one.summary()["peak_contact_force"], rel=1e-9)
+
+
 def test_a_constraint_that_cannot_be_met_is_said():
     """The nearest point is returned, and is not called feasible."""
     found = Search(of_functions([lambda x: x[0] + 1.0], [lambda x: 0.2 + (x[0] - 0.7) ** 2]), 1).run(

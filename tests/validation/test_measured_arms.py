@@ -8,9 +8,11 @@ import numpy as np
 import pytest
 
 from closedloop.base.errors import ModelError
+from closedloop.studies.identify.identify import Estimate
 from validation.measured import kr300, tx40, ur10
 from validation.measured.__main__ import main
 from validation.measured.data_file import DATA
+from validation.measured.judged import possible
 
 
 def test_friction_of_a_tx40_is_the_published_one(tmp_path, capsys):
@@ -127,3 +129,14 @@ def test_a_file_in_the_same_format_may_take_the_place_of_the_log(tmp_path):
     np.savez(tmp_path / "mine.npz", **turned)
     with pytest.raises(ModelError, match=r"mine.npz: joint joint_1 reaches .*: angles look like degrees"):
         tx40.judge(Path(tmp_path / "mine.npz"))
+
+
+@pytest.mark.parametrize(
+    ("name", "low", "high", "given"),
+    [("dry_J1", -2, -1, False), ("dry_J1", -2, 1, True), ("dry_J1", 1, 2, True), ("offset_J1", -2, -1, True)],
+)
+def test_what_is_surely_negative_and_cannot_be_is_not_given(name, low, high, given):
+    """Friction below zero with its whole interval; an offset may be."""
+    e = Estimate(name, 0.5 * (low + high), low, high, "N m", name, "")
+    assert (possible(e) == e) == given
+    assert ("which cannot be" in possible(e).why) != given

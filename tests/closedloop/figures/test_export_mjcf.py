@@ -132,6 +132,22 @@ def test_loops_are_closed_and_contacts_touch_as_in_the_run(name, tmp_path):
             assert gap == pytest.approx(run.link_gaps[row, k], abs=1e-8)
 
 
+def test_a_point_and_a_ball_are_as_far_from_their_planes_as_in_the_run(tmp_path):
+    """A point has a small ball in MuJoCo, and its plane is so much lower; a ball's plane is where it is."""
+    contacts = [{"link": "box", "at": [0.0, 0.0, -0.1]}, {"link": "box", "at": [0.1, 0.0, 0.0], "radius": 0.03}]
+    bodies = [{"name": "box", "shape": "box", "edges": [0.3, 0.2, 0.1], "mass": 2.0, "position": [0.0, 0.0, 0.5]}]
+    told = {"robot": {"model": "none"}, "body": bodies, "contact": contacts, "time": {"duration": 0.01}}
+    run = cl.simulate(cl.load_scenario(told))
+    mujoco, model, data = loaded(run, tmp_path)
+    mujoco.mj_resetDataKeyframe(model, data, model.key("start").id)
+    mujoco.mj_forward(model, data)
+    for k, each in enumerate(scene_of(run).touching):
+        ends = [model.geom(f"{each.name} {part}").id for part in ("point", "plane")]
+        gap = mujoco.mj_geomDistance(model, data, *ends, 1.0, None)
+        assert gap == pytest.approx(run.link_gaps[0, k], abs=1e-8)
+        assert gap == pytest.approx((0.4, 0.47)[k], abs=1e-8)
+
+
 @pytest.mark.parametrize("mechanism", [mechanisms.distance, mechanisms.gears])
 def test_rods_and_gears_are_held_too(mechanism, tmp_path):
     """A distance is a tendon of that length, a gear a joint's equality with its polynomial."""

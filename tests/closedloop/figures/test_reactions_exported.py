@@ -6,6 +6,7 @@ import pytest
 
 import closedloop as cl
 from closedloop.figures.export.files import write_csv, write_mcap
+from closedloop.mechanics.loops.reactions import parts_of
 
 
 @pytest.fixture(scope="module")
@@ -31,3 +32,20 @@ def test_mcap_has_the_reactions_of_loop_joints(run, tmp_path):
     wrenches = [[getattr(part, axis) for part in (m.wrench.force, m.wrench.torque) for axis in "xyz"] for m in sent]
     assert np.array_equal(wrenches, run.loops.reactions)
     assert {m.header.frame_id for m in sent} == {loop.frames[1]}
+
+
+def test_each_loop_joint_has_its_own_topic(tmp_path):
+    """Of a delta robot each wrench is that of its own columns, whatever the numbers of rows of those before."""
+    reader = pytest.importorskip("mcap_ros2.reader")
+    run = cl.simulate(cl.load_scenario("delta", {"time.duration": 0.003}))
+    path, at, seen = write_mcap(run, tmp_path / "run.mcap")[0], 0, 0
+    for loop in run.model.loops:
+        kinds = [what for what, _ in parts_of(run.model, loop)]
+        own = run.loops.reactions[:, at : at + len(kinds)]
+        at += len(kinds)
+        sent = [m.ros_msg for m in reader.read_ros2_messages(path, [f"/loops/{loop.name}"])]
+        forces = [[getattr(m.wrench.force, axis) for axis in "xyz"] for m in sent]
+        assert np.array_equal(forces, own[:, :3])
+        seen += len(sent)
+    assert at == run.loops.reactions.shape[1]
+    assert seen == len(run.model.loops) * len(run)

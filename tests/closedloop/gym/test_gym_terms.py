@@ -270,3 +270,22 @@ def test_a_world_keeps_its_own_force():
         assert seen[-1] == env.core.parameters[0]["law.force"]
         env.reset()
     assert len(set(seen)) == 3
+
+
+def test_before_the_first_step_an_action_is_what_the_scenario_has():
+    """A gain of all joints sets as many numbers as there are joints; the next action is still its own."""
+    actions = {"law.kp": (0.0, 2000.0), "law.kd": (0.0, 200.0), "force": (0.0, 40.0)}
+    env = ContactEnv(scenario="wam_slide", actions=actions, overrides={"time.duration": 0.1})
+    env.reset(seed=0)
+    law = env.core.scenario.law
+    found = env.core.actions.physical(env.core.now.action)[0]
+    np.testing.assert_allclose(found, [np.ravel(law.kp)[0], np.ravel(law.kd)[0], law.force])
+
+
+def test_options_count_in_worlds_that_were_met():
+    """A value that is given replaces that of the world, in this episode alone."""
+    env = ContactEnv("press", worlds=1)
+    own = env.reset(seed=0)[1]["parameters"]
+    given = env.reset(options={"friction.coefficient": 0.123})[1]["parameters"]
+    assert given == own | {"friction.coefficient": 0.123}
+    assert env.reset()[1]["parameters"] == own

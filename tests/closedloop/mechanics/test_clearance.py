@@ -40,6 +40,31 @@ def test_what_passes_through_is_said(tmp_path):
     )
 
 
+def test_the_deepest_row_is_found_between_those_that_are_looked_at(tmp_path):
+    """The ball is in the middle of the box at 0.049 s: of 101 rows 25 are looked at, and then those on both sides."""
+    for row in (47, 49):
+        _, found = passed(tmp_path, [0.0, -1000.0 / row])
+        assert found.time == pytest.approx(1e-3 * row)
+        assert found.distance == pytest.approx(-0.3, abs=1e-6)
+
+
+def test_long_shapes_far_apart_are_nearer_than_small_ones_side_by_side(tmp_path):
+    """Two rods whose middles are 3.2 m apart end 0.2 m from each other; two balls are 0.9 m apart."""
+    shapes = {"rod1": (0.0, "1.5 0.01 0.01"), "rod2": (3.2, "1.5 0.01 0.01")}
+    text = "".join(
+        f'<body name="{name}" pos="{x} 0 0"><joint type="slide"/><geom type="box" size="{size}" mass="1"/></body>'
+        for name, (x, size) in shapes.items()
+    )
+    text += "".join(
+        f'<body name="b{k}" pos="{k} 0 9"><joint type="slide"/><geom size="0.05" mass="1"/></body>' for k in range(2)
+    )
+    (tmp_path / "rods.xml").write_text(f"<mujoco><worldbody>{text}</worldbody></mujoco>")
+    (tmp_path / "run.toml").write_text('[robot]\nmodel = "rods.xml"\ntip = "b0"\n[time]\nduration = 0.01\n')
+    found = clearance(cl.simulate(cl.load_scenario(tmp_path / "run.toml"), progress=False))
+    assert found.between == ("rod1", "rod2")
+    assert found.distance == pytest.approx(0.2, abs=1e-6)
+
+
 def test_a_plane_that_another_link_touches(tmp_path):
     """The ball falls through the floor that the box touches; the box, which has the contact, is not compared."""
     floor = '[[contact]]\nname = "floor"\nlink = "box"\nat = [0, 0, -0.1]\nthrough = [0, 0, -0.1]\n'
@@ -55,23 +80,24 @@ PEN = """<mujoco><option gravity="0 0 0"/><worldbody><body name="arm"><joint nam
 </worldbody></mujoco>"""
 
 
-def above_a_surface(tmp_path, height):
-    """Return the least distance of a run in which a ball falls with 2 m/s from a height, m, above the tip's plane."""
+def above_a_surface(tmp_path, height, radius=0.0):
+    """Return the least distance of a run in which a ball falls with 2 m/s from a height, m, above the tip's centre."""
     (tmp_path / "pen.xml").write_text(PEN.replace("HEIGHT", str(height)))
     text = (
         '[robot]\nmodel = "pen.xml"\ntip = "tip"\n[surface]\nkind = "plane"\n[law]\nkind = "paper"\nkp = 0.0\n'
         "kd = 0.0\nforce = 1.0\n[start]\nv = [0.0, 0.0, -2.0]\n[time]\nduration = 0.1\nstep = 0.001\n"
     )
     (tmp_path / "run.toml").write_text(text)
-    run = cl.simulate(cl.load_scenario(tmp_path / "run.toml"), progress=False)
+    run = cl.simulate(cl.load_scenario(tmp_path / "run.toml", {"tool.radius": radius}), progress=False)
     return clearance(run)
 
 
-def test_a_link_that_comes_through_the_plane_of_the_surface_is_named(tmp_path):
-    """From 0.1 m above it falls to 0.1 m below, its ball 0.05 m deeper; the ball that holds the tip touches it."""
-    found = above_a_surface(tmp_path, 0.1)
+@pytest.mark.parametrize("radius", [0.0, 0.02])
+def test_a_link_that_comes_through_the_plane_of_the_surface_is_named(tmp_path, radius):
+    """From 0.1 m above the tip to 0.1 m below, its ball 0.05 m deeper; a round tip is its radius above the plane."""
+    found = above_a_surface(tmp_path, 0.1, radius)
     assert found.between == ("tool", "the surface")
-    assert found.distance == pytest.approx(-0.15, abs=1e-9)
+    assert found.distance == pytest.approx(-0.15 + radius, abs=1e-9)
 
 
 def test_a_link_that_begins_below_the_plane_of_the_surface_is_beside_it(tmp_path):

@@ -103,6 +103,17 @@ def test_contact_that_never_comes_is_lost_or_bounces():
     assert (problem["name"], problem["at"]) == ("bouncing", 6.0)
 
 
+def test_what_is_after_the_time_commanded_or_where_nothing_leads_does_not_count():
+    """Touchdowns after f_des has become zero, and the path of the rows that are led alone, however few."""
+    half = drawn(touchdowns=[6.0, 7.0, 8.0])
+    first = np.arange(half.wanted.size) * half.h < 5.5
+    assert told(half._replace(wanted=FORCE * first, force=FORCE * first, commanded=first)) == "good"
+    brief = np.arange(half.wanted.size) * half.h < 1.0
+    for share, verdict in ((0.95, "good"), (1.05, "path_error")):
+        off = drawn(off=lambda t, share=share: np.full(t.size, share * PATH_FLOOR))
+        assert told(off._replace(led=brief)) == verdict
+
+
 def test_path_and_saturation_from_both_sides():
     """RMS off the path, a swing about it, and torques cut."""
     assert told(drawn(off=lambda t: np.full(t.size, 0.95 * PATH_FLOOR))) == "good"

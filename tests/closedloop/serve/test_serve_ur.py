@@ -8,12 +8,14 @@ import subprocess
 import sys
 import time
 from importlib.util import find_spec
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 import closedloop as cl
 from closedloop.serve import ur
+from closedloop.serve.messages import wrench
 
 ARM = """
 [robot]
@@ -110,7 +112,11 @@ def test_a_client_reads_the_run_and_presses_with_what_it_sets(scenario):
             if other.ask("I", b"input_int_register_18") == b"\x01INT32":
                 break
             time.sleep(0.01)
+        other.ask("O", struct.pack(">d", 250.0) + FIELDS)
+        other.ask("S")
+        after = [other.state()[3] for _ in range(200)]
         run = served.close()
+    assert after[-1] == pytest.approx(10.0, abs=0.5)  # of the scenario's law again
     row = round(last[0] / 0.001)
     assert (last[1], last[2]) == pytest.approx((run.q[row, 1], run.position[row, 2]), abs=1e-12)
     assert last[3] == pytest.approx(run.contact_force[row - 10], abs=0.5)
@@ -226,6 +232,23 @@ def test_nobody_can_stop_the_server(scenario):
         Rtde(HOST, served.port, version=1)
     assert all("\n" not in line for line in said)
     assert any("no message of RTDE" in line for line in said)
+
+
+def test_a_round_tip_rubs_where_it_touches(scenario):
+    """The moment of the wrench about the centre of a tip of 30 mm is that of its friction, 30 mm along −n from it."""
+    problem = cl.prepare(cl.load_scenario(scenario))
+    normal, rubs, zeros = np.array([0.0, 0.6, 0.8]), np.array([2.0, -4.0, 3.0]), np.zeros(6)
+    state = SimpleNamespace(
+        time=0.0, q=problem.robot.model.home, v=zeros, acceleration=zeros, torque=zeros, f=10.0, normal=normal,
+        friction_force=rubs, measured_position=problem.robot.model.home, measured_velocity=zeros,
+    )  # fmt: skip
+    arm = SimpleNamespace(session=SimpleNamespace(state=state), _robot=problem.robot, _radius=0.03, _set={}, _tool={})
+    found = ur.Ur._values(arm)["actual_TCP_force"]
+    np.testing.assert_allclose(found[:3], 10.0 * normal + rubs)
+    np.testing.assert_allclose(found[3:], np.cross(-0.03 * normal, rubs), atol=1e-15)
+    state.position = np.array([0.4, 0.1, 0.03])
+    about_base = wrench(state, 0.03)
+    np.testing.assert_allclose(about_base[3:], np.cross(state.position, found[:3]) + found[3:], atol=1e-15)
 
 
 def test_what_is_no_such_arm_is_said(scenario):

@@ -45,6 +45,18 @@ def test_a_moment_turns_a_body():
     np.testing.assert_allclose(run.v[-1, 5], 0.5 * 0.03 / inertia[2], rtol=1e-12)
 
 
+def test_joints_carry_a_force_in_the_axes_of_a_frame_that_is_turned_on_its_link():
+    """Along its axis each joint has what its drive gives, whatever frame the force and its moment are in."""
+    force = {"force": [10.0, -20.0, 30.0], "moment": [1.0, 2.0, -3.0], "axes": "panda_hand"}
+    run = cl.simulate(cl.load_scenario("panda_slide", {"time.duration": 0.02, "external_force": [force]}))
+    model = run.model.pinocchio_model()
+    turned = model.frames[model.getFrameId("panda_hand")].placement.rotation
+    assert np.max(np.abs(turned - turned.T)) > 0.5
+    for j, name in enumerate(run.model.joint_names):
+        drive = run.torque[:, j] - run.model.armature[j] * run.acceleration[:, j]
+        np.testing.assert_allclose(run.joint_wrench(name)[:, 5], drive, atol=1e-9)
+
+
 @pytest.mark.parametrize("engine", ["pinocchio", "compiled"])
 def test_the_torque_is_that_of_jacobians(engine):
     """H q̈ + C − Jᵣᵀ F − Q is Jᵀ w of Pinocchio's frames: of the tool's tip, of a link in another's axes."""

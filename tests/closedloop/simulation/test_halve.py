@@ -2,12 +2,14 @@
 
 import dataclasses
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 import closedloop as cl
-from closedloop.record.report.halved import MOVES, NOT_HALVED, _away_from_changes
+from closedloop.mechanics.closure.contact_force import FREE
+from closedloop.record.report.halved import MOVES, NOT_HALVED, _away_from_changes, _events, halved_comparison
 from closedloop.record.report.verdict import STEP_SHARE
 
 SHORT = {"time.duration": 0.04, "reference.start": 0.0, "reference.stop": 0.2, "law.pd_start": 0.0}
@@ -109,6 +111,27 @@ def test_rows_beside_a_change_of_mode_do_not_count_and_long_differences_do():
     assert np.all(_away_from_changes(mode, mode)[[27, 32]])
     assert np.all(_away_from_changes(mode, never)[40:])
     assert MOVES < 100 - 30
+
+
+def test_a_contact_that_one_run_has_alone_counts_with_its_whole_force(halved):
+    """Where the other run is in flight throughout, f differs by all of it."""
+    run, other = halved
+    free = {"mode": np.full(len(other), FREE), "contact_force": np.zeros(len(other))}
+    found = halved_comparison(run, dataclasses.replace(other, columns={**other.columns, **free}))
+    assert found["force"] == np.max(np.abs(run.contact_force)) > 1.0
+    assert found["modes_differ"] == len(run) > MOVES
+
+
+def test_events_are_compared_with_those_of_their_own_contact():
+    """Of two feet that strike in another order no instant has moved by more than each has."""
+    times = {1: (0.10, 0.30), 2: (0.20, 0.25)}
+
+    def struck(late):
+        events = [SimpleNamespace(kind="impact", contact=k, time=t + late * k) for k in times for t in times[k]]
+        return SimpleNamespace(events=sorted(events, key=lambda event: event.time))
+
+    (found,) = _events(struck(0.0), struck(0.08)).values()
+    assert found == {"count": 4, "at_half": 4, "max_time_difference": pytest.approx(0.16), "at": pytest.approx(0.25)}
 
 
 def test_the_command_runs_it_twice_and_says_what_differs(command_line):

@@ -342,10 +342,11 @@ def test_names_are_refused_with_those_that_there_are(spring):
 
 def test_derivatives_of_cubics_are_exact():
     """What is left by central differences at two steps is of fourth order: none of a cubic, whose rate is known."""
-    here = SimpleNamespace(
-        flat=lambda held, q=np.zeros(2): np.array([q[0] + 5e5 * q[0] ** 3 - q[1], 2.0 * q[1] - 4e4 * q[1] ** 3]),
-        places={"qdd": slice(0, 2)},
-    )
+
+    def cubics(held, q=(0.0, 0.0)):
+        return np.array([q[0] + 5e5 * q[0] ** 3 - q[1], 2.0 * q[1] - 4e4 * q[1] ** 3])
+
+    here = SimpleNamespace(flat=cubics, places={"qdd": slice(0, 2)})
     found = columns(here, "q", np.full(2, 1e-6), False)["qdd"]
     np.testing.assert_allclose(found, [[1.0, -1.0], [0.0, 2.0]], atol=1e-9)
 

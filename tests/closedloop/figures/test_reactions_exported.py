@@ -7,6 +7,8 @@ import pytest
 import closedloop as cl
 from closedloop.figures.export.files import write_csv, write_mcap
 from closedloop.mechanics.loops.reactions import parts_of
+from validation.loops import mechanisms
+from validation.loops.andrews import coasting
 
 
 @pytest.fixture(scope="module")
@@ -35,9 +37,10 @@ def test_mcap_has_the_reactions_of_loop_joints(run, tmp_path):
 
 
 def test_each_loop_joint_has_its_own_topic(tmp_path):
-    """Of a delta robot each wrench is that of its own columns, whatever the numbers of rows of those before."""
+    """Of a mechanism with two pins each wrench is that of its own columns, after those of the pin before."""
     reader = pytest.importorskip("mcap_ros2.reader")
-    run = cl.simulate(cl.load_scenario("delta", {"time.duration": 0.003}))
+    model = mechanisms.six_bar()
+    run = cl.simulate(coasting(model, list(model.home), [0.0] * model.n, 0.01, 0.001), model=model)
     path, at, seen = write_mcap(run, tmp_path / "run.mcap")[0], 0, 0
     for loop in run.model.loops:
         kinds = [what for what, _ in parts_of(run.model, loop)]

@@ -29,13 +29,13 @@ def main(words: list[str]) -> int:
         "--columns WHAT=NAME ...": "columns of time, q, torque ({} for the joint), force (one, or three with commas), "
         "speed; repeat it",
         "--degrees": "angles of the log are in degrees",
-        "--gain N": "factor of the log's torques",
+        "--gain N": "factor of the log's torques, N m/A of currents",
         "--shift S": "the instant of the log at which the run begins, s",
         "--cutoff HZ": "cut-off of the filters in the audit of the force",
         "--out DIR": "where comparison.json and comparison.svg go (default: nowhere)",
         "--json": "print the comparison as JSON",
     }
-    parser.options(table, columns=mapped, gain=1.0, shift=float, cutoff=float)
+    parser.options(table, columns=mapped, gain=float, shift=float, cutoff=float)
     options, overrides = parsed(parser, words)
     folder = made_folder(options.out) if options.out else None
 

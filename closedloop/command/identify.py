@@ -28,11 +28,11 @@ def main(words: list[str]) -> int:
     terms = [term.strip() for term in options.terms.split(",") if term.strip()]
     if unknown := [term for term in terms if term not in TERMS]:
         raise ModelError(f"--terms {options.terms}: {unknown[0]!r} is none of {', '.join(TERMS)}")
-    gain = [_number(entry, "--gain") for entry in options.gain.split(",")]
+    gain = [_number(entry, "--gain") for entry in options.gain.split(",")] if options.gain else None
     normal = None if options.contact is None else [_number(entry, "--contact") for entry in options.contact.split(",")]
     folder = made_folder(options.out)
     robot = robot_models.load(options.robot)
-    if len(gain) not in (1, robot.n):
+    if gain is not None and len(gain) not in (1, robot.n):
         raise ModelError(f"--gain {options.gain}: {len(gain)} numbers: one, or {robot.n}, one for each joint")
     mapped = dict(options.columns)
     if normal is not None:
@@ -53,8 +53,8 @@ def main(words: list[str]) -> int:
 
 
 def _contact(
-    options: argparse.Namespace, robot: RobotModel, mapped: dict[str, str], normal: list[float], gain: list[float],
-    folder: Path,
+    options: argparse.Namespace, robot: RobotModel, mapped: dict[str, str], normal: list[float],
+    gain: list[float] | None, folder: Path,
 ) -> int:  # fmt: skip
     """Identify the contact of the tip with a plane, from one log."""
     import json
@@ -101,7 +101,7 @@ def _parser() -> Parser:
         "--columns WHAT=NAME ...": "columns of time, q, v, torque, {} for the joint: torque='effort_{}'; or a list; "
         "repeat it for each",
         "--degrees": "angles of the log are in degrees",
-        "--gain N,...": "factor of the torques, one or one for each joint",
+        "--gain N,...": "factor of the torques, one or one for each joint; N m/A of currents, which need one",
         "--terms TERMS": f"of {', '.join(TERMS)}",
         "--coupled A,B ...": "two joints whose second motor turns with both, such as the wrist of a Staeubli TX",
         "--contact NX,NY,NZ": "find friction, stiffness, damping, restitution and the force sensor instead, of a tip "
@@ -113,7 +113,7 @@ def _parser() -> Parser:
         "--held-out SHARE": "share of the log that is kept to test the result",
     }
     parser.options(
-        table, out="out/identify", columns=mapped, gain="1", terms="viscous,dry,offset,drive_inertia", coupled=_pair,
+        table, out="out/identify", columns=mapped, gain="", terms="viscous,dry,offset,drive_inertia", coupled=_pair,
         delay=float, cutoff=float, slow=0.01, held_out=0.25,
     )  # fmt: skip
     parser.add_argument("--method", choices=("ls", "iv"), default="ls", help="least squares, or instrumental variables")

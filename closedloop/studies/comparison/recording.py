@@ -92,7 +92,7 @@ def of_run(run: Run, source: str = "the run") -> Recording:
 
 def read_recording(
     path: str | Path, robot: RobotModel, *, columns: Mapping[str, str] | None = None, degrees: bool = False,
-    gain: float | Sequence[float] = 1.0,
+    gain: float | Sequence[float] | None = None,
 ) -> Recording:  # fmt: skip
     """Read a log or a run file.
 
@@ -101,7 +101,7 @@ def read_recording(
     `columns`: of "time", "q", "torque", "force", "speed" to names, as `closedloop.studies.identify.read.read_log` takes
         them; of "force" one name, or three with commas between.
     `degrees`: whether angles are in degrees.
-    `gain`, float or (n,): what torques are multiplied by.
+    `gain`, float or (n,), optional: what torques are multiplied by: N m/A of currents, which need one.
     Raises LogError if the file cannot be read, a column is missing, a value is not finite, or time jumps.
     """
     path, given, factors = Path(path), dict(columns or {}), factors_of(gain)
@@ -119,7 +119,8 @@ def read_recording(
     table = table_of(path)
     force_names, speed_name = given.pop("force", None), given.pop("speed", None)
     time = time_of(table, given.get("time"), path)
-    q, torque, v = (joints_of(table, what, given, robot, path, degrees) for what in ("q", "torque", "v"))
+    q, v = (joints_of(table, what, given, robot, path, degrees) for what in ("q", "v"))
+    torque = joints_of(table, "torque", given, robot, path, currents=gain is not None)
     if q is not None:
         check_positions(q, robot, str(path))
     force, speed = _force(table, force_names, path), _speed(table, speed_name, path)

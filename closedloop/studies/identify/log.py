@@ -175,6 +175,13 @@ def check_motion(q: Array, v: Array | None, step: float, robot: RobotModel, wher
     span = min(SPAN, len(q) // 4)
     if span == 0 or turns.max(initial=0.0) < MOVES:
         return
+    moved = np.abs(np.diff(q, axis=0)) * [kind in ("revolute", "continuous") for kind in robot.joint_types]
+    if moved.max() > np.pi:
+        row, joint = np.unravel_index(int(moved.argmax()), moved.shape)
+        raise LogError(
+            f"{where}: joint {robot.joint_names[joint]} turns by {moved[row, joint]:.4g} rad from row {row} to the "
+            "next, more than half a turn: do its angles begin anew there? Unwrap them (numpy.unwrap), or take more rows"
+        )
     if v is not None:
         check_velocities(q, v, step, robot, where)
     speed = np.percentile(np.abs(q[span:] - q[:-span]), 99.0, axis=0) / (span * step)

@@ -163,11 +163,12 @@ SECONDS = {
 ANGLES = {"rad": 1.0, "deg": np.pi / 180.0, "degrees": np.pi / 180.0, "°": np.pi / 180.0}
 LENGTHS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
 FORCES = {"n": 1.0, "mn": 1e-3, "kn": 1e3}
+CURRENTS = {"a": 1.0, "ma": 1e-3}
 UNITS = {
     "time": SECONDS,
     "q": ANGLES | LENGTHS,
     "v": {f"{unit}{per}": k for unit, k in (ANGLES | LENGTHS).items() for per in ("", "/s", " s^-1", " s-1")},
-    "torque": {"a": 1.0, "ma": 1e-3} | FORCES | {
+    "torque": CURRENTS | FORCES | {
         f"{force}{times}{length}": k * arm
         for force, k in FORCES.items() for length, arm in LENGTHS.items() for times in ("", " ", "*", "·", ".")
     },
@@ -180,7 +181,7 @@ _UNIT = re.compile(r"\s*[\[(]([^\[\]()]*)[\])]$")
 
 def read_log(
     path: str | Path, robot: RobotModel, *, columns: Mapping[str, str] | None = None, degrees: bool = False,
-    gain: float | Sequence[float] = 1.0,
+    gain: float | Sequence[float] | None = None,
 ) -> Log:  # fmt: skip
     """Read a log of a robot.
 
@@ -190,7 +191,7 @@ def read_log(
         ``{"torque": "effort_{}"}``; or to the names of all columns, in the robot's order, with commas between. The
         usual names are found by themselves.
     `degrees`: whether angles are in degrees, and velocities in degrees/s.
-    `gain`, float or (n,): what torques are multiplied by: N m/A of currents.
+    `gain`, float or (n,), optional: what torques are multiplied by: N m/A of currents, which need one.
     Raises LogError if the file cannot be read, or columns are missing.
     """
     path, given, factors = Path(path), dict(columns or {}), factors_of(gain)
@@ -202,7 +203,8 @@ def read_log(
             return log_of_run(run, str(path))
     table = table_of(path)
     time = time_of(table, given.get("time"), path)
-    q, torque, v = (joints_of(table, what, given, robot, path, degrees) for what in ("q", "torque", "v"))
+    q, v = (joints_of(table, what, given, robot, path, degrees) for what in ("q", "v"))
+    torque = joints_of(table, "torque", given, robot, path, currents=gain is not None)
     for name, x in (("q", q), ("torque", torque)):
         if x is None:
             raise LogError(
@@ -214,9 +216,9 @@ def read_log(
     return Log(time, q, torque * factors, robot.joint_names, v, str(path))
 
 
-def factors_of(gain: float | Sequence[float]) -> Array:
+def factors_of(gain: float | Sequence[float] | None) -> Array:
     """Return what torques are multiplied by, () or (n,); raise LogError if nothing would be left of them."""
-    factors = np.asarray(gain, dtype=np.float64)
+    factors = np.asarray(1.0 if gain is None else gain, dtype=np.float64)
     if not np.isfinite(factors).all() or not factors.all():
         raise LogError(f"gain is {gain!r}: must be finite and not 0")
     return factors
@@ -405,11 +407,13 @@ def _column(table: dict[str, Array], name: str, what: str, path: Path) -> str | 
 
 
 def joints_of(
-    table: dict[str, Array], what: str, given: dict[str, str], robot: RobotModel, path: Path, degrees: bool = False
-) -> Array | None:
+    table: dict[str, Array], what: str, given: dict[str, str], robot: RobotModel, path: Path, degrees: bool = False,
+    currents: bool = True,
+) -> Array | None:  # fmt: skip
     """Return the columns of a quantity, (N, n) in the robot's order and SI units, or None if it is not there.
 
-    Angles are in degrees if `degrees`, whatever unit is behind the names of their columns.
+    Angles are in degrees if `degrees`, whatever unit is behind the names of their columns. Without `currents` torques
+    whose unit is that of a current are refused.
     """
     n, angles = robot.n, degrees and what in ("q", "v")
     said = [ANGLES["deg"] if angles and kind != "prismatic" else None for kind in robot.joint_types]
@@ -424,6 +428,8 @@ def joints_of(
     for names in tried:
         found = columns_named(table, names, what, path, said) if len(names) == n else None
         if found is not None:
+            if not currents:
+                _refuse_currents(table, names, path)
             return np.stack(found, axis=1)
     if asked:
         missing = _lacking(table, tried[0], what, path)[:1]
@@ -437,6 +443,15 @@ def joints_of(
                 f"{listed(table)}"
             )
     return None
+
+
+def _refuse_currents(table: dict[str, Array], names: Sequence[str], path: Path) -> None:
+    """Refuse columns of torques in A: nothing says how many N m an A is."""
+    for name in names:
+        units = [found[1].strip().lower() for each in (name, _column(table, name, "torque", path) or "")
+                 if (found := _UNIT.search(each))]  # fmt: skip
+        if units and units[0] in CURRENTS:
+            raise LogError(f"{path}: {name!r} is a current, in A: give the N m/A of each joint, as in --gain 13.6,14.3")
 
 
 def _lacking(table: dict[str, Array], names: Sequence[str], what: str, path: Path) -> list[str]:

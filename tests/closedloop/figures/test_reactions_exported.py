@@ -39,7 +39,7 @@ def test_mcap_has_the_reactions_of_loop_joints(run, tmp_path):
 def test_each_loop_joint_has_its_own_topic(tmp_path):
     """Of a mechanism with two pins each wrench is that of its own columns, after those of the pin before."""
     reader = pytest.importorskip("mcap_ros2.reader")
-    model = mechanisms.six_bar()
+    model = mechanisms.doubled_four_bar()
     run = cl.simulate(coasting(model, list(model.home), [0.0] * model.n, 0.01, 0.001), model=model)
     path, at, seen = write_mcap(run, tmp_path / "run.mcap")[0], 0, 0
     for loop in run.model.loops:

@@ -267,6 +267,8 @@ def bad(what, log):
         time = log.time.copy()
         time[2000:] += 0.5
         return replace(log, time=time)
+    if what == "wrapped":
+        return replace(log, q=(log.q + 20.0) % (2.0 * np.pi) - np.pi)
     if what == "rest":
         return replace(log, q=np.zeros_like(log.q))
     if what == "nan":
@@ -290,6 +292,7 @@ def bad(what, log):
     [
         ("degrees", "angles look like degrees, and must be in rad"),
         ("jump", r"time jumps by 0.502 s after row 1999 \(1 such places\), where rows are 0.002 s apart"),
+        ("wrapped", r"turns by 6.\d+ rad from row \d+ to the next, more than half a turn: do its angles begin anew"),
         ("rest", "the robot rests"),
         ("nan", r"torque of joint \S+ in row 7 is nan: must be finite"),
         ("velocities", "57.3 times the rate of its positions: they look like degrees"),

@@ -86,6 +86,9 @@ def test_units_and_gains_are_put_right(log, tmp_path):
     read = read_log(tmp_path / "log.csv", robot, degrees=True, gain=[2.0, 3.0])
     np.testing.assert_allclose(read.q, log.q, rtol=1e-14)
     np.testing.assert_allclose(read.torque, log.torque * [2.0, 3.0], rtol=1e-14)
+    table.rename(columns={f"effort_{j}": f"effort_{j} [mA]" for j in log.joint_names}).to_csv(tmp_path / "log.csv")
+    read = read_log(tmp_path / "log.csv", robot, degrees=True, gain=1.0)
+    np.testing.assert_allclose(read.torque, 1e-3 * log.torque, rtol=1e-14)
 
 
 @pytest.mark.parametrize("ending", ["csv", "parquet", "nc"])
@@ -195,6 +198,12 @@ def test_a_written_robot_has_the_parameters_that_were_given(name):
         (lambda t: t, ["--columns", "force=x"], "'force' is none of time, q, v, torque"),
         (lambda t: t, ["--terms", "viscous,wet"], "'wet' is none of viscous"),
         (lambda t: t, ["--gain", "1,2,3"], "3 numbers: one, or 2"),
+        (
+            lambda t: t.rename(columns={"effort_J1": "effort_J1 [A]"}),
+            [],
+            "'effort_J1' is a current, in A: give the N m/A",
+        ),
+        (lambda t: t, ["--columns", "torque=effort_{} [mA]"], "is a current, in A: give the N m/A of each joint"),
         (lambda t: t, ["--cutoff", "1e4"], "must be above 0 and below half the rate"),
         (lambda t: t, ["--coupled", "J1,J7"], "has no joint 'J7'"),
         (lambda t: t, ["--coupled", "J1,J1"], "coupled J1, J1: must be two different joints"),

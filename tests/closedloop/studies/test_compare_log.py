@@ -36,6 +36,7 @@ def test_a_run_over_its_own_scenario_is_equal(run):
     assert found.audit.consistent
     assert found.audit.what == "along the normal, on the robot"
     assert found.audit.rms < 0.01 * found.audit.size
+    assert found.audit.explained > 0.99
     assert sum("equal, to rounding" in line for line in found.lines()) == 3
 
 

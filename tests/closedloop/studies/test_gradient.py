@@ -456,3 +456,14 @@ def test_a_run_that_stops_has_no_derivative():
     scenario = cl.load_scenario("wam_slide", {"law.kd": [1e4] * 4, "time.duration": 1.0})
     with pytest.raises(cl.SimulationError):
         cl.gradient(scenario, ["law.force"], of=["rms_force_error"])
+
+
+def test_the_step_of_a_number_is_a_share_of_the_largest_of_its_list_whatever_its_sign():
+    """Of an angle of −1.4 rad beside one of 0.6; and of a number below zero."""
+    scenario = cl.load_scenario(
+        "planar2_slide", {"start.q": [0.6, -1.4], "law.force": -2.0, "surface.contact": "bilateral"}
+    )
+    steps = {(each.key, each.entry): each.step for each in Keys(scenario, ["start.q", "law.force"]).directions}
+    assert steps == {
+        ("start.q", (0,)): SHARE * 1.4, ("start.q", (1,)): SHARE * 1.4, ("law.force", ()): SHARE * 2.0,
+    }  # fmt: skip

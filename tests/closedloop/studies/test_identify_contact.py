@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ import closedloop as cl
 import robot_models
 from closedloop.base.errors import ModelError
 from closedloop.command.identify import main
+from closedloop.studies.identify.contact.compliance import _begin, _estimates
 from closedloop.studies.identify.contact.found import touch_of
 from closedloop.studies.identify.contact.identify_contact import impacts_of
 from closedloop.studies.identify.log import LogError
@@ -343,3 +345,22 @@ def test_force_and_speed_alone_tell_the_surface(signed, tmp_path, capsys):
     words = [str(tmp_path / "log.csv"), "--robot", "pointmass3", "--contact", "0,0,1", "--out", str(tmp_path / "out")]
     assert main([*words, "--delay", "0"]) == 0
     assert "stiffness" in capsys.readouterr().out
+
+
+def test_the_search_for_a_delay_begins_at_that_of_an_exact_force():
+    """Of f(t − τ) = −k s − c ṡ, to second order in τ: its delay, stiffness and damping."""
+    s, v, a = rows = np.random.default_rng(5).normal(size=(3, 400))
+    k, c, late = 4e3, 60.0, 3e-3
+    force = 7.0 - k * s - (c - k * late) * v - (0.5 * k * late**2 - c * late) * a
+    np.testing.assert_allclose(_begin(rows.T, rows.T, force, np.ones(400, dtype=bool)), (late, k, c), rtol=1e-6)
+
+
+def test_the_interval_of_the_offset_is_that_of_what_it_is_computed_from():
+    """Middle + b/k of stiffnesses and forces at the middle that are drawn with their covariance."""
+    value, root = np.array([5e3, -20.0, 50.0]), np.array([[50.0, 0.0, 0.0], [3.0, 2.0, 0.0], [0.0, 0.0, 1.0]])
+    fit = SimpleNamespace(value=value, told=np.ones(3, dtype=bool))
+    sensor = SimpleNamespace(delay_known=True, part=SimpleNamespace(estimates=[SimpleNamespace(why="")]))
+    *_, offset = _estimates(fit, root @ root.T, 0.0, 0.1, sensor, 1.0)
+    k, b, _ = value[:, None] + root @ np.random.default_rng(6).normal(size=(3, 100_000))
+    assert offset.value == pytest.approx(np.mean(0.1 + b / k), abs=1e-5)
+    assert 0.5 * (offset.high - offset.low) == pytest.approx(np.std(b / k), rel=0.03)

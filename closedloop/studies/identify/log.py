@@ -177,7 +177,7 @@ def check_motion(q: Array, v: Array | None, step: float, robot: RobotModel, wher
         return
     moved = np.abs(np.diff(q, axis=0)) * [kind in ("revolute", "continuous") for kind in robot.joint_types]
     if moved.max() > np.pi:
-        row, joint = np.unravel_index(int(moved.argmax()), moved.shape)
+        row, joint = divmod(int(moved.argmax()), len(robot.joint_names))
         raise LogError(
             f"{where}: joint {robot.joint_names[joint]} turns by {moved[row, joint]:.4g} rad from row {row} to the "
             "next, more than half a turn: do its angles begin anew there? Unwrap them (numpy.unwrap), or take more rows"

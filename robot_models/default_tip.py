@@ -46,27 +46,27 @@ def default_tip(
     """
     import pinocchio as pin
 
-    chains = [[model.names[j] for j in list(model.supports[frame.parentJoint])[1:]] for frame in model.frames]
-    fingers = [any(map(_FINGER.search, chain)) for chain in chains]
-    bearers: set[int] = set()
-    for index, frame in enumerate(model.frames):
+    above = [[model.names[j] for j in list(support)[1:]] for support in model.supports]
+    of_finger = [any(map(_FINGER.search, chain)) for chain in above]
+    frames = [(frame, above[frame.parentJoint], of_finger[frame.parentJoint]) for frame in model.frames]
+    bearers = {0}  # the base; what bears a bearer is one, so that each is reached once
+    for frame, _, finger in frames:
         if frame.type == pin.FrameType.BODY and frame.name in usable and frame.name not in made:
-            while not (fingers[index] or _IDLE.search(frame.name)) and index != frame.parentFrame:
-                index, frame = frame.parentFrame, model.frames[frame.parentFrame]
-                bearers.add(index)
+            while not (finger or _IDLE.search(frame.name)) and frame.parentFrame not in bearers:
+                bearers.add(frame.parentFrame)
+                frame, _, finger = frames[frame.parentFrame]
     best: tuple[tuple[bool, bool, int, bool, int, int, int], str] | None = None
-    for index, frame in enumerate(model.frames):
-        kind = frame.type
+    for index, (frame, chain, finger) in enumerate(frames):
         if frame.name not in usable or frame.name in made or frame.parentJoint == 0:
             continue
         words = re.split(r"[^a-z0-9]+", frame.name.lower())
         words += [one + other for one, other in pairwise(words)]
         tool = min((i for i, word in enumerate(_TOOLS) if word in words), default=len(_TOOLS))
         is_tool = tool < len(_TOOLS)
-        if not is_tool and (kind != pin.FrameType.BODY or index in bearers):
+        if not is_tool and (frame.type != pin.FrameType.BODY or index in bearers):
             continue
-        reach = 0 if fingers[index] else len(chains[index])
-        moved = driven is None or not {*driven}.isdisjoint(chains[index])
-        rank = (moved, is_tool and reach > 0, reach, not _IDLE.search(frame.name), -tool, len(chains[index]), index)
+        reach = 0 if finger else len(chain)
+        moved = driven is None or not {*driven}.isdisjoint(chain)
+        rank = (moved, is_tool and reach > 0, reach, not _IDLE.search(frame.name), -tool, len(chain), index)
         best = max(best, (rank, frame.name)) if best else (rank, frame.name)
     return best[1] if best else None

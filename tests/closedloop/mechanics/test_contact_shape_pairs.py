@@ -205,11 +205,7 @@ def dropped_flat(folder, seed):
     )
 
 
-QUICK = (10, 17, 21, 32)
-FLAT = budget((*QUICK, 1, 3, 4, 29, 34), range(40))
-
-
-@pytest.mark.parametrize("seed", [pytest.param(s, marks=() if s in QUICK else pytest.mark.slow) for s in FLAT])
+@pytest.mark.parametrize("seed", budget((3, 17, 21, 32), range(40)))  # of each of the faults below one
 def test_a_box_dropped_flat_on_another_comes_to_rest(tmp_path, seed):
     """A box dropped flat on another comes to rest upon it, gains no energy, and does not sink into it."""
     # Before, corners that came onto a face from beside fell through it (1, 3), rows that hardly differ took impulses of

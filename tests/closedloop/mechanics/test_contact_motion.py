@@ -116,7 +116,7 @@ def draw(rng, feet):
     )
 
 
-@pytest.mark.parametrize("seed", [0, 1, *(pytest.param(k, marks=pytest.mark.slow) for k in range(2, budget(12, 30)))])
+@pytest.mark.parametrize("seed", [0, 1, *(pytest.param(k, marks=pytest.mark.slow) for k in range(2, budget(8, 30)))])
 @pytest.mark.parametrize("feet", FEET)
 def test_a_box_that_is_dropped_comes_to_rest(tmp_path, feet, seed):
     """With whatever pose, velocity, friction and restitution; without friction it may go on along the floor.

@@ -97,7 +97,7 @@ def counted(seed, count):
     return dataclasses.replace(log, q=np.round((log.q + first) / count) * count - first)
 
 
-@pytest.mark.parametrize(("count", "wide"), [(5e-5, 0.3), (1e-4, 0.6)])
+@pytest.mark.parametrize(("count", "wide"), budget([(1e-4, 0.6)], [(5e-5, 0.3), (1e-4, 0.6)]))
 def test_intervals_of_encoders_that_count_cover(count, wide):
     """Of a tip that is 0.7 mm deep, of counts of 1/14 and 1/7 of it: what counts do to the estimates is no noise.
 

@@ -20,7 +20,7 @@ run = cl.load_run(Path("out/run.nc"))
 assert len(run.to_pandas()) == len(run) == 2001
 for kind in ("csv", "mcap"):
     assert main(["export", "out/run.nc", "--to", kind, "--out", f"out/run.{kind}"]) == 0
-assert main(["analyse", "wam_slide", "--law.force_feedback", "0.5"]) == 0
+assert cl.linearise(cl.load_scenario("planar2_slide")).to_control().dt == 0.001
 assert main(["completion", "bash"]) == 0
 cl.load_scenario("wam_slide", {"robot.model": "panda", "start.q": None}).to_toml()
 env = gymnasium.make("closedloop/Press-v0")

@@ -42,17 +42,17 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # as in a suite that a sh
 # others follow by their numbers of tests, as xdist would have them. `test_gradient` compiles the loop of dual numbers,
 # which others need later; two processes that need it at the same time would both compile it.
 LONGEST = (
-    "test_gradient", "test_lab_browser", "test_pages", "test_environments", "test_notebooks",
-    "test_lab_shared",
-    "test_sweep_killed", "test_untouched_contact", "test_simulator", "test_scenarios", "test_gradients",
-    "test_compiled_engine", "test_contacts", "test_bodies_known", "test_integrator_choice", "test_sweep_signals",
-    "test_break_away", "test_contact_energy", "test_control_compensation", "test_engines_agree", "test_compile_command",
-    "test_run_files", "test_identify_contact", "test_gym", "test_tune", "test_background", "test_study_surfaces",
-    "test_killed", "test_contact_events", "test_tree_kernels", "test_lab_command", "test_batch_memory", "test_loops",
-    "test_robot_files", "test_mutate", "test_study_controllers", "test_adaptive_order", "test_peer_slides",
-    "test_impact_random", "test_impact_spatial", "test_sweep_disk", "test_sweep_fuzz", "test_contact_random",
-    "test_compiled_law", "test_friction_lugre", "test_user_law", "test_friction_own", "test_solve", "test_speed",
-    "test_compiled", "test_scipy_later",
+    "test_gradient", "test_pages", "test_notebooks", "test_lab_browser", "test_inside", "test_followed",
+    "test_background", "test_lab_shared", "test_environments", "test_lab_robust", "test_contact_random_motions",
+    "test_sweep_killed", "test_passive", "test_scenarios", "test_untouched_contact", "test_compiled_engine",
+    "test_contact_shape_pairs", "test_simulator", "test_command_line", "test_contact_motion", "test_gradients",
+    "test_contacts", "test_bodies_known", "test_integrator_choice", "test_sweep_signals", "test_break_away",
+    "test_contact_energy", "test_control_compensation", "test_engines_agree", "test_compile_command", "test_run_files",
+    "test_identify_contact", "test_gym", "test_tune", "test_study_surfaces", "test_killed", "test_contact_events",
+    "test_tree_kernels", "test_lab_command", "test_batch_memory", "test_loops", "test_robot_files", "test_mutate",
+    "test_study_controllers", "test_adaptive_order", "test_peer_slides", "test_impact_random", "test_impact_spatial",
+    "test_sweep_disk", "test_sweep_fuzz", "test_contact_random", "test_compiled_law", "test_friction_lugre",
+    "test_user_law", "test_friction_own", "test_solve", "test_speed",
 )  # fmt: skip
 
 

@@ -27,22 +27,15 @@ _RGBA = "0.16 0.38 0.68 1"
 class FreeBody:
     """A rigid body on a free joint; its origin is the middle of its shape, and its centre of mass.
 
-    Attributes
-    ----------
-    name : str
-        Of its link and its joint.
-    shape : "box", "ball" or "cylinder"
-    size : tuple
-        m; of a box the lengths of its edges along x, y, z, of a ball its radius, of a cylinder its radius and its
-        length along z.
-    mass : float
-        kg.
-    position : (3,) tuple
-        Of the origin in the base frame, m.
-    quaternion : (4,) tuple
-        w, x, y, z; of any length but zero.
-    inertia : (6,) tuple, optional
-        Tensor about the origin in the body's axes, kg m²: xx, yy, zz, xy, xz, yz; of uniform density if left out.
+    name: of its link and its joint
+    shape: "box", "ball" or "cylinder"
+    size: m; of a box the lengths of its edges along x, y, z, of a ball its radius, of a cylinder its radius and its
+        length along z
+    mass: kg
+    position: (3,), of the origin in the base frame, m
+    quaternion: (4,), w, x, y, z; of any length but zero
+    inertia: (6,), tensor about the origin in the body's axes, kg m²: xx, yy, zz, xy, xz, yz; of uniform density if left
+        out
     """
 
     name: str
@@ -71,10 +64,7 @@ class FreeBody:
 def only_bodies(bodies: Sequence[FreeBody]) -> RobotModel:
     """Return free bodies and nothing else, as a robot whose tip is the last of them.
 
-    Raises
-    ------
-    ModelError
-        If there are none, or see `with_bodies`.
+    Raises `ModelError` if there are none, or see `with_bodies`.
     """
     if not bodies:
         raise ModelError("there is no body, and no robot: one of them is needed")
@@ -89,11 +79,8 @@ def only_bodies(bodies: Sequence[FreeBody]) -> RobotModel:
 def with_bodies(model: RobotModel, bodies: Sequence[FreeBody]) -> RobotModel:
     """Return a robot beside which there are free bodies; in its home posture they are where they are said to be.
 
-    Raises
-    ------
-    ModelError
-        If a name is that of a link or joint of the robot, or of another body, or if it cannot be simulated with
-        them, see `robot_models.load`.
+    Raises `ModelError` if a name is that of a link or joint of the robot, or of another body, or if it cannot be
+    simulated with them, see `robot_models.load`.
     """
     if not bodies:
         return model

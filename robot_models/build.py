@@ -46,28 +46,14 @@ class Built:
 def build(text: str, format: str, locked: Mapping[str, float], where: str) -> Built:
     """Build the model that a canonical text describes.
 
-    Parameters
-    ----------
-    text
-        What `urdf.read` or `mjcf.read` returned.
-    format
-        "urdf" or "mjcf".
-    locked
-        Joints to weld, and where: rad, or m for a prismatic joint; 0, as the text has it, for one that turns freely.
-    where
-        How to name the text in a message.
-
-    Returns
-    -------
-    Built
-        With nv = n velocities, free joints taken apart (`robot_models.separate`). The armature is that of the text
-        (zero for a URDF), the gravity Pinocchio's own. A limit that the text does not give, and an effort or velocity
-        limit of 0, is infinite.
-
-    Raises
-    ------
-    ModelError
-        Pinocchio refuses the text or reads another mechanism than it says, or a locked joint is not in it.
+    text: what `urdf.read` or `mjcf.read` returned
+    format: "urdf" or "mjcf"
+    locked: joints to weld, and where: rad, or m for a prismatic joint; 0, as the text has it, for one that turns freely
+    It has nv = n velocities, free joints taken apart (`robot_models.separate`). The armature is that of the text
+    (zero for a URDF), the gravity Pinocchio's own. A limit that the text does not give, and an effort or velocity limit
+    of 0, is infinite.
+    Raises `ModelError` if Pinocchio refuses the text or reads another mechanism than it says, or a locked joint is not
+    in it.
     """
     import pinocchio as pin
 

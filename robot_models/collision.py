@@ -31,23 +31,14 @@ SMALLEST, LARGEST = 1e-6, 1e6  # m, of a mesh: another size is a wrong unit, or 
 class CollisionShape:
     """A shape fixed to a link.
 
-    Attributes
-    ----------
-    kind : str
-        "box", "sphere", "capsule", "cylinder", "ellipsoid" or "mesh".
-    size : (3,) array
-        m: half sides of a box, half axes of an ellipsoid; radius and half length, along z, of a capsule without its
-        caps and of a cylinder; the radius of a sphere; zeros behind, and of a mesh.
-    place : (4, 4) array
-        Its pose in the link's frame.
-    vertices : (V, 3) array
-        Of a mesh, m, in its own axes; of others none.
-    file : str
-        Of a mesh, the name in the robot's file.
-    colour : three floats, optional
-        Red, green, blue, 0 to 1, of a geom that says it.
-    centroids : (T, 3) array
-        Of the triangles of a mesh, m; of others none.
+    kind: "box", "sphere", "capsule", "cylinder", "ellipsoid" or "mesh"
+    size: (3,), m: half sides of a box, half axes of an ellipsoid; radius and half length, along z, of a capsule without
+        its caps and of a cylinder; the radius of a sphere; zeros behind, and of a mesh
+    place: (4, 4), its pose in the link's frame
+    vertices: (V, 3), of a mesh, m, in its own axes; of others none
+    file: of a mesh, the name in the robot's file
+    colour: red, green, blue, 0 to 1, of a geom that says it
+    centroids: (T, 3), of the triangles of a mesh, m; of others none
     """
 
     kind: str
@@ -67,10 +58,7 @@ def collision_shapes(model: "RobotModel", link: str, visual: bool = False) -> li
     Of an MJCF they are its geoms but those without contact (contype and conaffinity 0): of meshes the corners of the
     convex hull, of planes none.
 
-    Raises
-    ------
-    ModelError
-        If the file of a mesh is not there or cannot be read.
+    Raises `ModelError` if the file of a mesh is not there or cannot be read.
     """
     return _of_urdf(model, link, visual) if model.format == "urdf" else _of_mjcf(model.text, link, visual)
 

@@ -26,22 +26,11 @@ _ROUNDING = 1e-13
 def check_built(model: "pin.Model", links: Sequence[Link], locked: Mapping[str, float], where: str) -> None:
     """Refuse a model that is not the text's.
 
-    Parameters
-    ----------
-    model
-        What Pinocchio built, locked joints welded.
-    links
-        What the text says; parents before their children.
-    locked
-        Joints that were welded, and where: rad (m).
-    where
-        How to name the text in a message.
-
-    Raises
-    ------
-    ModelError
-        A link is missing, stands or hangs elsewhere, or what a joint carries has another mass, centre of mass or
-        tensor; a joint has another axis, limit or armature; or a number is not finite.
+    model: what Pinocchio built, locked joints welded
+    links: what the text says; parents before their children
+    locked: joints that were welded, and where: rad (m)
+    Raises `ModelError` if a link is missing, stands or hangs elsewhere, or what a joint carries has another mass,
+    centre of mass or tensor; a joint has another axis, limit or armature; or a number is not finite.
     """
     import pinocchio as pin
 

@@ -69,10 +69,7 @@ def quaternions(types: Sequence[str]) -> list[int]:
 def normalised(q: ArrayLike, types: Sequence[str], what: str) -> Array:
     """Return positions (nq,) with unit quaternions.
 
-    Raises
-    ------
-    ModelError
-        A quaternion has no length; `what` names the positions in the message.
+    Raises `ModelError` if a quaternion has no length; `what` names the positions in the message.
     """
     found = np.array(q, dtype=np.float64)
     for at in quaternions(types):

@@ -28,21 +28,10 @@ def default_tip(
 ) -> str | None:
     """Return the frame of a tool, else the last link of the longest chain of joints; fingers and sensors come last.
 
-    Parameters
-    ----------
-    model
-        The built model.
-    usable
-        Names of frames that can be a tip.
-    made
-        Names of joints and links that stand for loop joints.
-    driven
-        Joints with a drive, where each frame is moved by the joints of its own chain alone; None if all have one.
-
-    Returns
-    -------
-    str, optional
-        None if nothing moves.
+    usable: names of frames that can be a tip
+    made: names of joints and links that stand for loop joints
+    driven: joints with a drive, where each frame is moved by the joints of its own chain alone; None if all have one
+    Returns None if nothing moves.
     """
     import pinocchio as pin
 

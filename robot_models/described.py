@@ -37,10 +37,7 @@ class Description:
 def find(name: "str | PathLike[str]", mocap: Collection[str] = ()) -> Description:
     """Return the description of a robot that comes with a package, or of a file; of `mocap` see `mjcf.read`.
 
-    Raises
-    ------
-    ModelError
-        There is no such robot, or its text is at fault.
+    Raises `ModelError` if there is no such robot, or its text is at fault.
     """
     if name in shipped.shipped_names():
         return _from_file(str(name), shipped.path_of(str(name)), "robot_models")
@@ -101,10 +98,7 @@ def canonical(
 ) -> Description:
     """Return the description of a text alone, that of the file `path` if there is one.
 
-    Raises
-    ------
-    ModelError
-        The text is at fault.
+    Raises `ModelError` if the text is at fault.
     """
     if format == "urdf":
         return _of_urdf(urdf.read(text, where), name, where)

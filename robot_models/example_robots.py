@@ -102,10 +102,7 @@ class Example:
 def find(name: str) -> Example:
     """Return a robot of the table.
 
-    Raises
-    ------
-    ModelError
-        The robot has no URDF, is not what its file alone says, or its file is not installed.
+    Raises `ModelError` if the robot has no URDF, is not what its file alone says, or its file is not installed.
     """
     table = _table()
     loader = getattr(table, _RENAMED[name]) if name in _RENAMED else table.ROBOTS[name]

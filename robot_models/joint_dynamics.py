@@ -17,10 +17,7 @@ _WHERE = {"urdf": "<dynamics>", "mjcf": "damping and frictionloss"}
 def joint_dynamics(model: RobotModel) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return damping, N m s/rad (N s/m), and friction, N m (N), of each joint, (n,) each; zero if left out.
 
-    Raises
-    ------
-    ModelError
-        If no joint and no tendon has any, or if a number is negative.
+    Raises `ModelError` if no joint and no tendon has any, or if a number is negative.
     """
     found = _dynamics(model)
     if not (np.any(found) or any(any(each.damping) or each.friction for each in model.tendons)):

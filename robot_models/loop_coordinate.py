@@ -37,10 +37,7 @@ class _Side(NamedTuple):
 def _acting(loops: Sequence[LoopJoint], drives: Sequence[str], where: str) -> tuple[LoopJoint, ...]:
     """Return the loop joints whose coordinates become joints of the tree.
 
-    Raises
-    ------
-    ModelError
-        A drive is named at a loop joint that has no coordinate of that name.
+    Raises `ModelError` if a drive is named at a loop joint that has no coordinate of that name.
     """
     for loop in loops:
         if loop.name in drives and loop.name not in loop.free and not loop.coordinates:
@@ -54,20 +51,10 @@ def with_coordinates(
 ) -> tuple[str, tuple[LoopJoint, ...]]:
     """Return a text with the coordinates of loop joints that act as joints of its tree, and its loop joints then.
 
-    Parameters
-    ----------
-    text, format : str
-        A canonical text, and "urdf" or "mjcf".
-    loops : sequence of LoopJoint
-    drives : sequence of str
-        Joints with a drive.
-    where : str
-        How to name the text in a message.
-
-    Raises
-    ------
-    ModelError
-        The text is MJCF, a coordinate has the name of a joint, or no side of a loop joint has inertia to share.
+    text, format: a canonical text, and "urdf" or "mjcf"
+    drives: joints with a drive
+    Raises `ModelError` if the text is MJCF, a coordinate has the name of a joint, or no side of a loop joint has
+    inertia to share.
     """
     wanted = _acting(loops, drives, where)
     if not wanted:

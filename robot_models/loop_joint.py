@@ -146,10 +146,7 @@ class LoopJoint:
 def loop_joint(table: Mapping[str, Any], where: str) -> LoopJoint:
     """Return the loop joint that a table of a sidecar, or of a run file, describes.
 
-    Raises
-    ------
-    ModelError
-        A key is unknown, or a value is not what it asks for.
+    Raises `ModelError` if a key is unknown, or a value is not what it asks for.
     """
     if not isinstance(table, Mapping):
         raise ModelError(f"{where}: a closed_loop is {shown(table)}: it must be a table, [[closed_loop]]")
@@ -221,10 +218,7 @@ def check_loops(
 ) -> None:
     """Refuse loop joints between frames or joints that the robot does not have, and drives that are no joints.
 
-    Raises
-    ------
-    ModelError
-        The message names the nearest.
+    Raises `ModelError`, which names the nearest.
     """
     for loop in loops:
         bound = (*loop.joints, *loop.coordinates)

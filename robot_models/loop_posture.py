@@ -25,13 +25,8 @@ def new_side(loop: LoopJoint) -> int:
 def place_coordinates(model: "pin.Model", loops: Sequence[LoopJoint], q: Array) -> Array:
     """Return joint positions (n,), rad (m), with the coordinates of loop joints as the rest of the posture has them.
 
-    Parameters
-    ----------
-    model : pin.Model
-    loops : sequence of LoopJoint
-        Those without coordinates are passed over.
-    q : (n,) array
-        What it says of the coordinates is not read.
+    loops: those without coordinates are passed over
+    q: (n,), what it says of the coordinates is not read
     """
     import pinocchio as pin
 
@@ -59,12 +54,8 @@ def place_coordinates(model: "pin.Model", loops: Sequence[LoopJoint], q: Array) 
 def coordinate_rates(model: "pin.Model", loops: Sequence[LoopJoint], q: Array, v: Array) -> Array:
     """Return joint velocities (n,), rad/s (m/s), with the rates of loop joints' coordinates as the rest has them.
 
-    Parameters
-    ----------
-    model, loops
-        As in `place_coordinates`.
-    q, v : (n,) arrays
-        A posture in which they are placed, and velocities; what those say of the coordinates is not read.
+    model, loops: as in `place_coordinates`
+    q, v: (n,), a posture in which they are placed, and velocities; what those say of the coordinates is not read
     """
     import pinocchio as pin
 

@@ -25,10 +25,7 @@ MAX_LINKS = 2000
 def check_size(links: int, joints: int, where: str) -> None:
     """Refuse a mechanism beyond the bounds, before anything that takes long or much memory.
 
-    Raises
-    ------
-    ModelError
-        There are more links than `MAX_LINKS`, or more joints that move than `MAX_JOINTS`.
+    Raises `ModelError` if there are more links than `MAX_LINKS`, or more joints that move than `MAX_JOINTS`.
     """
     for count, most, what in ((links, MAX_LINKS, "links"), (joints, MAX_JOINTS, "joints that move")):
         if count > most:
@@ -110,15 +107,8 @@ def displaced(link: Link, value: float) -> Array:
 def lumped(weights: list[Weight], poses: list[Array]) -> Weight:
     """Return the weight of links held together.
 
-    Parameters
-    ----------
-    weights, poses
-        Of each link, and (4, 4) where it is.
-
-    Returns
-    -------
-    Weight
-        In the frame of the poses. Without mass the centre is the origin.
+    weights, poses: of each link, and (4, 4) where it is
+    It is in the frame of the poses. Without mass the centre is the origin.
     """
     mass = sum(weight.mass for weight in weights)
     centres = [pose[:3, :3] @ weight.centre + pose[:3, 3] for weight, pose in zip(weights, poses, strict=True)]

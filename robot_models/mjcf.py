@@ -62,18 +62,9 @@ _TITLES = {"body": "body", "jnt": "joint", "site": "site"}
 class Mjcf(NamedTuple):
     """What a file says.
 
-    Attributes
-    ----------
-    text
-        The plain text.
-    home
-        The posture of the keyframe "home", of the first one or of the model, by the names of coordinates: rad (m).
-    loops
-        Its equalities.
-    drives
-        Joints with a drive; None: all.
-    warnings
-        What was left out, a line each.
+    home: the posture of the keyframe "home", of the first one or of the model, by the names of coordinates: rad (m)
+    drives: joints with a drive; None: all
+    warnings: what was left out, a line each
     """
 
     text: str
@@ -86,21 +77,9 @@ class Mjcf(NamedTuple):
 def read(text: str, where: str, path: Path | None, mocap: Collection[str] = ()) -> Mjcf:
     """Return what MuJoCo makes of an MJCF.
 
-    Parameters
-    ----------
-    text
-        The document.
-    where
-        How to name it in a message.
-    path
-        Its file, for what it includes; None for a text that must stand by itself.
-    mocap
-        Mocap bodies whose equalities are loop joints.
-
-    Raises
-    ------
-    ModelError
-        MuJoCo refuses it, or it says something that cannot be simulated.
+    path: its file, for what it includes; None for a text that must stand by itself
+    mocap: mocap bodies whose equalities are loop joints
+    Raises `ModelError` if MuJoCo refuses it, or it says something that cannot be simulated.
     """
     root = parse(text, where)
     if root.tag != "mujoco":
@@ -269,12 +248,7 @@ def _drop_idle_assets(spec: Any, touching: bool) -> None:
 
 @lru_cache(maxsize=8)
 def compiled(text: str, where: str = "the model") -> Any:
-    """Return MuJoCo's model of a plain text, that of `read`; it is not to be changed.
-
-    Raises
-    ------
-    ModelError
-    """
+    """Return MuJoCo's model of a plain text, that of `read`; it is not to be changed. Raises `ModelError`."""
     with _said():
         return _compile(text, where)[0]
 

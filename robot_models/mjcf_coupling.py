@@ -39,10 +39,7 @@ def couplings(
 
     Those to a mocap body are left out but for bodies that are named in `mocap`, whose motion a scenario gives.
 
-    Raises
-    ------
-    ModelError
-        One is not simulated.
+    Raises `ModelError` if one is not simulated.
     """
     made: list[LoopJoint] = []
     warnings = _idle_tendons(model, names, where)
@@ -128,10 +125,7 @@ def _gear(model: Any, k: int, name: str, joints: list[str], where: str) -> LoopJ
 
     Between two joints it is the gear q1 = P(q2) where a polynomial says so.
 
-    Raises
-    ------
-    ModelError
-        It binds no joint.
+    Raises `ModelError` if it binds no joint.
     """
     (first, r1), (second, r2) = (_sum(model, k, int(end[k])) for end in (model.eq_obj1id, model.eq_obj2id))
     P = np.zeros(5)

@@ -23,10 +23,7 @@ def pinocchio_model(model: Any, locked: Mapping[str, float], where: str) -> "pin
 
     Its velocities are in the order of MuJoCo's; the armature is the text's.
 
-    Raises
-    ------
-    ModelError
-        A number is so large that products of it might be none; `where` names the text.
+    Raises `ModelError` if a number is so large that products of it might be none; `where` names the text.
     """
     import pinocchio as pin
 

@@ -170,10 +170,7 @@ class RobotModel:
         Armature, gravity and limits are those of this robot; locked joints are welded; a continuous joint
         is a revolute one without bounds. The model is the caller's to change.
 
-        Raises
-        ------
-        ModelError
-            The text was tampered with and can no longer be built.
+        Raises `ModelError` if the text was tampered with and can no longer be built.
         """
         model = self._built.copy()
         model.armature = self.rigid_armature
@@ -280,10 +277,7 @@ class RobotModel:
     def require_frame(self, tip: str) -> str:
         """Return `tip` if it names a frame of the robot.
 
-        Raises
-        ------
-        ModelError
-            It does not; the message lists the nearest names.
+        Raises `ModelError` if it does not; the message lists the nearest names.
         """
         if tip in self.frames:
             return tip

@@ -16,14 +16,9 @@ def notes(
 ) -> tuple[str, ...]:
     """Return what a reader of a run should know about its robot.
 
-    Parameters
-    ----------
-    text, format
-        The canonical text, and "urdf" or "mjcf".
-    joints
-        Those that move.
-    velocity_limit, effort_limit : (n,)
-        rad/s and N m; infinite where there is none.
+    text, format: the canonical text, and "urdf" or "mjcf"
+    joints: those that move
+    velocity_limit, effort_limit: (n,), rad/s and N m; infinite where there is none
     """
     root = ET.fromstring(text)
     found = _rough_urdf(root) if format == "urdf" else _rough_mjcf(root)

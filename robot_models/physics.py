@@ -44,22 +44,12 @@ def check_tensor(tensor: NDArray[np.float64], mass: float, what: str, rounding: 
     are reached by point masses (zero), thin rods and thin plates, which are honest idealisations and are
     accepted.
 
-    Parameters
-    ----------
-    tensor : (3, 3)
-        About the centre of mass, kg m².
-    mass
-        Of the body, kg.
-    what
-        How to name its owner in a message.
-    rounding
-        What is forgiven as rounding of printed digits, relative to the largest moment. MuJoCo forgives nothing.
-
-    Raises
-    ------
-    ModelError
-        A number is so large that the moments cannot be found, or a principal moment is negative, by more than rounding
-        of printed digits.
+    tensor: (3, 3), about the centre of mass, kg m²
+    mass: of the body, kg
+    what: how to name its owner in a message
+    rounding: what is forgiven as rounding of printed digits, relative to the largest moment. MuJoCo forgives nothing.
+    Raises `ModelError` if a number is so large that the moments cannot be found, or a principal moment is negative, by
+    more than rounding of printed digits.
     """
     try:
         low, mid, high = np.linalg.eigvalsh(tensor)
@@ -94,19 +84,10 @@ MOST = {
 def check_size(what: str, value: ArrayLike, owner: str) -> None:
     """Refuse numbers beyond `MOST`, whose products might be none.
 
-    Parameters
-    ----------
-    what
-        A key of `MOST`.
-    value
-        A number, or an array of them.
-    owner
-        How to name their owner in a message.
-
-    Raises
-    ------
-    ModelError
-        One is larger, or is none.
+    what: a key of `MOST`
+    value: a number, or an array of them
+    owner: how to name their owner in a message
+    Raises `ModelError` if one is larger, or is none.
     """
     most, unit, why = MOST[what]
     for number in np.ravel(np.asarray(value, dtype=np.float64)):
@@ -115,13 +96,7 @@ def check_size(what: str, value: ArrayLike, owner: str) -> None:
 
 
 def check_sizes(links: "Sequence[Link]", where: str) -> None:
-    """Refuse links with numbers beyond `MOST`.
-
-    Raises
-    ------
-    ModelError
-        A number of one is larger, or is none.
-    """
+    """Refuse links with numbers beyond `MOST`. Raises `ModelError` if a number of one is larger, or is none."""
     for link in links:
         at = f"{where}: {'site' if link.site else 'link'} {link.name!r}"
         check_size("mass", link.weight.mass, at)
@@ -151,20 +126,10 @@ def least_inertia(H: NDArray[np.float64]) -> float:
 def check_mechanism(model: "pin.Model", home: NDArray[np.float64], where: str) -> None:
     """Refuse a mechanism that some joint can move without any inertia answering.
 
-    Parameters
-    ----------
-    model
-        The built model with its armature.
-    home : (nq,)
-        A posture, as Pinocchio orders it.
-    where
-        How to name the model in a message.
-
-    Raises
-    ------
-    ModelError
-        What a joint carries has no mass or an impossible tensor, or the mass matrix is singular at every
-        posture tried.
+    model: the built model with its armature
+    home: (nq,), a posture, as Pinocchio orders it
+    Raises `ModelError` if what a joint carries has no mass or an impossible tensor, or the mass matrix is singular at
+    every posture tried.
     """
     import pinocchio as pin
 

@@ -66,17 +66,10 @@ class Sidecar:
 def read_sidecar(path: Path, joints: Collection[str]) -> Sidecar:
     """Read the sidecar of a robot, or return an empty one where there is none.
 
-    Parameters
-    ----------
-    path
-        Where the sidecar would be.
-    joints
-        Names of the joints that move in the description.
-
-    Raises
-    ------
-    ModelError
-        The TOML is malformed, has an unknown key or joint, or a value that is not what the key asks for.
+    path: where the sidecar would be
+    joints: names of the joints that move in the description
+    Raises `ModelError` if the TOML is malformed, has an unknown key or joint, or a value that is not what the key asks
+    for.
     """
     if not path.exists():
         return Sidecar()

@@ -35,20 +35,12 @@ DAMPING, FRICTION, STOPS, ROUGH = 0, 3, 4, 6
 class Tendon:
     """One tendon; see the module. Units follow from those of its length, rad or m.
 
-    Attributes
-    ----------
-    name
-        Its own, or that of a joint.
-    coefficients : mapping
-        c by the name of each joint that moves.
-    stiffness, damping : (3,)
-        k, k', k'' and b, b', b''; zeros if there is none.
-    rest : (2,)
-        The shorter and the longer rest length, less what joints that are held add to L.
-    friction : float
-        f_c.
-    limits : (2,)
-        The hard stops of L, likewise less what is held; infinite where there is none.
+    name: its own, or that of a joint
+    coefficients: c by the name of each joint that moves
+    stiffness, damping: (3,), k, k', k'' and b, b', b''; zeros if there is none
+    rest: (2,), the shorter and the longer rest length, less what joints that are held add to L
+    friction: f_c
+    limits: (2,), the hard stops of L, likewise less what is held; infinite where there is none
     """
 
     name: str
@@ -63,14 +55,9 @@ class Tendon:
 def tendons(text: str, joints: Sequence[str], locked: Mapping[str, float]) -> tuple[Tendon, ...]:
     """Return the tendons, springs of joints among them, that the plain text of an MJCF has.
 
-    Parameters
-    ----------
-    text
-        From `robot_models.mjcf.read`.
-    joints
-        Names of the joints that move.
-    locked
-        Those that are held, and where, rad (m).
+    text: from `robot_models.mjcf.read`
+    joints: names of the joints that move
+    locked: those that are held, and where, rad (m)
     """
     root, found = ET.fromstring(text), []
     for joint in root.iterfind("worldbody//joint"):

@@ -14,10 +14,7 @@ _LONG_KEY = re.compile(rf"(?<![\w-])(?:{_PART}[ \t]*+\.[ \t]*+){{{MOST_PARTS}}}"
 def toml_tables(text: str) -> dict[str, Any]:
     """Return the tables of a TOML text.
 
-    Raises
-    ------
-    ValueError
-        The text is no TOML, or is nested too deeply: the reason.
+    Raises `ValueError` if the text is no TOML, or is nested too deeply: the reason.
     """
     if _LONG_KEY.search(text):
         raise ValueError(f"a key has more than {MOST_PARTS} parts")

@@ -41,11 +41,8 @@ class Tool:
     def tensor(self) -> Vector:
         """Return the tensor (3, 3).
 
-        Raises
-        ------
-        ModelError
-            If no body has such a tensor: its principal moments must be >= 0, and none may exceed the sum of the other
-            two.
+        Raises `ModelError` if no body has such a tensor: its principal moments must be >= 0, and none may exceed the
+        sum of the other two.
         """
         xx, yy, zz, xy, xz, yz = self.inertia
         tensor = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])

@@ -64,10 +64,8 @@ def read(text: str, where: str) -> str:
     ones. Where an axis is not of unit length, or an attribute has blanks that readers take differently, the text is
     written anew; otherwise it is returned as it came.
 
-    Raises
-    ------
-    ModelError
-        The XML is malformed or no URDF, a name, a joint's type or link is missing, or a number is none.
+    Raises `ModelError` if the XML is malformed or no URDF, a name, a joint's type or link is missing, or a number is
+    none.
     """
     root = parse(text, where)
     if root.tag != "robot":
@@ -105,13 +103,7 @@ def read(text: str, where: str) -> str:
 
 
 def expanded(path: Path, where: str) -> str:
-    """Return the URDF of a xacro template.
-
-    Raises
-    ------
-    ModelError
-        xacrodoc is not installed, or cannot expand it.
-    """
+    """Return the URDF of a xacro template. Raises `ModelError` if xacrodoc is not installed, or cannot expand it."""
     try:
         from xacrodoc import XacroDoc
     except ModuleNotFoundError:
@@ -248,10 +240,7 @@ def mimics(text: str, where: str) -> tuple[tuple[LoopJoint, ...], list[str]]:
     Of one that mimics a joint which does not move the gear is the value at which it is held. One that mimics a joint
     which is not in the file moves as it is.
 
-    Raises
-    ------
-    ModelError
-        It mimics itself, or a joint that turns freely, or a number is none.
+    Raises `ModelError` if it mimics itself, or a joint that turns freely, or a number is none.
     """
     found, warnings, joints = [], [], ET.fromstring(text).findall("joint")
     kinds = {joint.get("name", ""): joint.get("type", "") for joint in joints}
@@ -282,19 +271,9 @@ def inspect(text: str, where: str, locked: Collection[str]) -> list[str]:
     A link without mass that moves, or with an inertia that no body has, is named: where the mass matrix is positive
     definite all the same it moves. `check_mechanism` refuses what is left over.
 
-    Parameters
-    ----------
-    text
-        The URDF, as `read` returned it.
-    where
-        How to name it in a message.
-    locked
-        Joints that will be held rigid, and so are as good as fixed.
-
-    Raises
-    ------
-    ModelError
-        A tensor is not positive definite, or yourdfpy cannot read the file.
+    text: the URDF, as `read` returned it
+    locked: joints that will be held rigid, and so are as good as fixed
+    Raises `ModelError` if a tensor is not positive definite, or yourdfpy cannot read the file.
     """
     robot = _typed(text, where)
     children: dict[str, list[yourdfpy.Joint]] = {joint.parent: [] for joint in robot.joints}

@@ -35,10 +35,7 @@ class Beside(NamedTuple):
 def read_beside(path: Path, text: str) -> Beside:
     """Return what the YAML at `path` says of a URDF, whose text is given, or that alone where there is no such YAML.
 
-    Raises
-    ------
-    ModelError
-        It is no YAML, or a key is not what it should be.
+    Raises `ModelError` if it is no YAML, or a key is not what it should be.
     """
     table = _table(path)
     if not table:

@@ -59,15 +59,8 @@ class _Builder(ET.TreeBuilder):
 def read_text(path: Path) -> str:
     """Return a file's text.
 
-    Parameters
-    ----------
-    path
-        The file; UTF-8, with or without a byte order mark.
-
-    Raises
-    ------
-    ModelError
-        The file is missing, a folder, a pipe or a device, unreadable, too large or not UTF-8.
+    path: the file; UTF-8, with or without a byte order mark
+    Raises `ModelError` if the file is missing, a folder, a pipe or a device, unreadable, too large or not UTF-8.
     """
     try:
         kind = path.stat().st_mode
@@ -95,17 +88,7 @@ def read_text(path: Path) -> str:
 def parse(text: str, where: str) -> ET.Element:
     """Return the root element of an XML text.
 
-    Parameters
-    ----------
-    text
-        The document.
-    where
-        How to name it in a message.
-
-    Raises
-    ------
-    ModelError
-        The text is empty, malformed (with line and column), declares a DOCTYPE or nests absurdly.
+    Raises `ModelError` if the text is empty, malformed (with line and column), declares a DOCTYPE or nests absurdly.
     """
     if not text.strip():
         raise ModelError(f"{where} is empty")
@@ -136,10 +119,7 @@ def tidy(root: ET.Element) -> bool:
     tab before it, where others read 1. After this no reader meets a tab, a line end, a no-break space or any other
     of Unicode's blanks around or between numbers, nor around a word.
 
-    Returns
-    -------
-    bool
-        Whether anything was changed.
+    Returns whether anything was changed.
     """
     changed = False
     for element in root.iter():
@@ -160,10 +140,7 @@ MAX_ANGLE = 1e6
 def angles(value: str, count: int, what: str) -> list[float]:
     """Return the angles in an attribute, as `numbers` does.
 
-    Raises
-    ------
-    ModelError
-        Also where an angle is beyond `MAX_ANGLE`.
+    Raises `ModelError` also where an angle is beyond `MAX_ANGLE`.
     """
     found = numbers(value, count, what)
     if max(map(abs, found)) > MAX_ANGLE:
@@ -174,20 +151,11 @@ def angles(value: str, count: int, what: str) -> list[float]:
 def numbers(value: str, count: int | None, what: str) -> list[float]:
     """Return the finite numbers in an attribute.
 
-    Parameters
-    ----------
-    value
-        The attribute's text, numbers separated by white space.
-    count
-        How many there must be; None for any positive number of them.
-    what
-        How to name the attribute and its owner in a message.
-
-    Raises
-    ------
-    ModelError
-        A word is not a plain decimal number, is too large or too small for a double, or there are too few or too
-        many.
+    value: the attribute's text, numbers separated by white space
+    count: how many there must be; None for any positive number of them
+    what: how to name the attribute and its owner in a message
+    Raises `ModelError` if a word is not a plain decimal number, is too large or too small for a double, or there are
+    too few or too many.
     """
     words = value.split()
     if not words or (count is not None and len(words) != count):

@@ -9,24 +9,14 @@ import numpy as np
 class Cell:
     """One quantity of one engine over all states.
 
-    Attributes
-    ----------
-    robot, quantity, engine : str
-        What was compared.
-    status : str
-        "agrees", "disagrees", "not covered", "not installed" or "not usable".
-    reason : str
-        Why, where there is no number.
-    absolute, relative : float
-        Worst errors; inf if a number is missing or not finite.
-    tolerance : float
-        The bound at the state that comes closest to it.
-    margin : float
-        Worst error over its bound; at most 1 for "agrees".
-    state : int or None
-        The state that gave it.
-    states : int
-        How many were compared.
+    robot, quantity, engine: what was compared
+    status: "agrees", "disagrees", "not covered", "not installed" or "not usable"
+    reason: why, where there is no number
+    absolute, relative: worst errors; inf if a number is missing or not finite
+    tolerance: the bound at the state that comes closest to it
+    margin: worst error over its bound; at most 1 for "agrees"
+    state: the state that gave it
+    states: how many were compared
     """
 
     robot: str
@@ -46,16 +36,10 @@ class Cell:
 class Comparison:
     """All cells of one robot.
 
-    Attributes
-    ----------
-    robot, tip, reference : str
-        Robot, tip and the engine that the others are compared with.
-    seed, states : int
-        What was drawn.
-    cells : list of Cell
-        By engine, then quantity.
-    probes : dict of str to str
-        Engine -> what its probe found.
+    robot, tip, reference: robot, tip and the engine that the others are compared with
+    seed, states: what was drawn
+    cells: by engine, then quantity
+    probes: engine -> what its probe found
     """
 
     robot: str

@@ -37,30 +37,16 @@ def compare(
 ) -> Comparison:
     """Compare all engines on one robot.
 
-    Parameters
-    ----------
-    robot : str or RobotModel
-        A name or path for `robot_models.load`, or a model.
-    tip : str, optional
-        Frame to compare at; the robot's own default if left out.
-    states : int or sequence of int
-        How many states are drawn, or which of the seed's.
-    seed : int
-        From which they are drawn.
-    engines : sequence of Engine classes
-        More engines to judge, beside those that the package knows.
-    built : iterable of Engine, Missing or Refused, optional
-        Engines already made for this robot, in place of all others.
-    judge : str
-        Name of the engine that the others are compared with; if it cannot represent the robot, the first that covers
-        every quantity.
-    label : str, optional
-        What to call the robot in the report.
-
-    Raises
-    ------
-    ModelError
-        If the robot cannot be loaded, has no such tip, or no joint moves the tip.
+    robot: a name or path for `robot_models.load`, or a model
+    tip: frame to compare at; the robot's own default if left out
+    states: how many states are drawn, or which of the seed's
+    seed: from which they are drawn
+    engines: more engines to judge, beside those that the package knows
+    built: engines already made for this robot, in place of all others
+    judge: name of the engine that the others are compared with; if it cannot represent the robot, the first that covers
+        every quantity
+    label: what to call the robot in the report
+    Raises `ModelError` if the robot cannot be loaded, has no such tip, or no joint moves the tip.
     """
     model: Any = robot_models.load(robot) if isinstance(robot, str) else robot
     name = tip_of(model, tip)
@@ -95,10 +81,7 @@ def missing_cells(robot: str, engine: Missing | Refused) -> list[Cell]:
 def tip_of(model: Any, tip: str | None) -> str:
     """Return the frame to compare at: `tip`, or the robot's own.
 
-    Raises
-    ------
-    ModelError
-        If the robot has no such frame, or no default.
+    Raises `ModelError` if the robot has no such frame, or no default.
     """
     name = tip or model.tip
     if name is None:

@@ -33,14 +33,8 @@ class Answer:
 class Fault:
     """A fault: in what the solver is given, or in what it answers; `spoil` and `answer` leave what they do not touch.
 
-    Attributes
-    ----------
-    name : str
-        What is wrong.
-    spoil : callable
-        Changes the memory that the solver reads.
-    answer : callable
-        Answer, memory -> the faulty answer.
+    spoil: changes the memory that the solver reads
+    answer: answer, memory -> the faulty answer
     """
 
     name: str

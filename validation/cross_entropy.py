@@ -23,12 +23,8 @@ STOPPED = 1e4
 class Learned:
     """What the cross-entropy method has found.
 
-    Attributes
-    ----------
-    weights : (k,) array
-        The mean of the last candidates' best.
-    costs : (g,) array
-        Mean cost of the best of each generation.
+    weights: (k,), the mean of the last candidates' best
+    costs: (g,), mean cost of the best of each generation
     """
 
     weights: Array
@@ -41,17 +37,10 @@ def cross_entropy(
 ) -> Learned:  # fmt: skip
     """Return numbers of little cost.
 
-    Parameters
-    ----------
-    cost : callable
-        Of candidates (m, k) and the number of the generation, to their costs (m,), finite.
-    mean, spread : (k,) arrays
-        Of the first candidates, which are drawn from normal distributions.
-    generations, candidates, best : int
-        How often, how many, and how many of them the next are drawn about.
-    extra : float
-        Added to the spread at first, as a share of the first one, and less from generation to generation.
-    seed : int
+    cost: of candidates (m, k) and the number of the generation, to their costs (m,), finite
+    mean, spread: (k,), of the first candidates, which are drawn from normal distributions
+    generations, candidates, best: how often, how many, and how many of them the next are drawn about
+    extra: added to the spread at first, as a share of the first one, and less from generation to generation
     """
     random = np.random.default_rng(seed)
     middle, wide = np.array(mean, dtype=np.float64), np.array(spread, dtype=np.float64)
@@ -69,14 +58,9 @@ def cross_entropy(
 class Episodes:
     """Episodes of pressing, in which many linear policies are tried side by side on the same worlds.
 
-    Parameters
-    ----------
-    task : Task
-        Its action is the desired force.
-    policies, worlds : int
-        How many of each.
-    settled : float
-        The force counts from here on, s.
+    task: its action is the desired force
+    policies, worlds: how many of each
+    settled: the force counts from here on, s
     """
 
     def __init__(
@@ -113,16 +97,9 @@ def learn_to_press(
 ) -> tuple[LinearPolicy, Learned]:  # fmt: skip
     """Return a policy for `Press-v0`, and how it was found.
 
-    Parameters
-    ----------
-    seconds : float
-        Length of an episode, s.
-    generations, candidates : int
-        See `cross_entropy`.
-    worlds, of : int
-        On how many each candidate of a generation is tried, out of so many.
-    seed : int
-    threads : int, optional
+    seconds: length of an episode, s
+    generations, candidates: see `cross_entropy`
+    worlds, of: on how many each candidate of a generation is tried, out of so many
     """
     task = TASKS["press"].changed({"overrides": {"time.duration": seconds}, "worlds": of})
     episodes = Episodes(task, policies=candidates, worlds=worlds, threads=threads)

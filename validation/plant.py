@@ -32,16 +32,10 @@ STATES = 10
 class Catch:
     """What became of one fault in one engine.
 
-    Attributes
-    ----------
-    fault, engine : str
-        What was planted, and where.
-    caught : bool
-        Whether some quantity went out of tolerance.
-    quantity, by : str
-        The quantity that showed it most, and the pair of engines that disagreed.
-    margin : float
-        Error over tolerance; inf where a probe caught it.
+    fault, engine: what was planted, and where
+    caught: whether some quantity went out of tolerance
+    quantity, by: the quantity that showed it most, and the pair of engines that disagreed
+    margin: error over tolerance; inf where a probe caught it
     """
 
     fault: str
@@ -72,10 +66,7 @@ def plant_all(
 ) -> list[Catch]:
     """Plant every fault in every engine of a robot, in turn, and return what caught it.
 
-    Raises
-    ------
-    ModelError
-        If the robot cannot be loaded.
+    Raises `ModelError` if the robot cannot be loaded.
     """
     model: Any = robot_models.load(robot) if isinstance(robot, str) else robot
     name = tip_of(model, tip)

@@ -19,18 +19,11 @@ from validation.plant_tree import TREE_FAULTS
 class Fault:
     """A fault: in the robot that an engine is given, or in how it computes.
 
-    Attributes
-    ----------
-    name : str
-        What is wrong.
-    robot : callable or None
-        RobotModel -> the faulty one, or None if this robot cannot carry the fault.
-    methods : callable or None
-        Engine, and a sound one of another kind to borrow from -> methods to put in place of the engine's own; empty if
-        it does not compute what the fault touches.
-    tree : callable or None
-        `closedloop.mechanics.robot.tree.Tree` -> the faulty one, or None if it cannot carry the fault: for the engine
-        that has one.
+    robot: RobotModel -> the faulty one, or None if this robot cannot carry the fault
+    methods: engine, and a sound one of another kind to borrow from -> methods to put in place of the engine's own;
+        empty if it does not compute what the fault touches
+    tree: `closedloop.mechanics.robot.tree.Tree` -> the faulty one, or None if it cannot carry the fault: for the engine
+        that has one
     """
 
     name: str

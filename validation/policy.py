@@ -31,12 +31,8 @@ FEATURES = {
 class LinearPolicy:
     """A policy with one number as its action, the desired force.
 
-    Parameters
-    ----------
-    names : tuple of str
-        Names of the numbers of an observation, as an environment's `core.observation_names`.
-    weights : (4,) or (N, 4) array
-        Of the force's error, its sum, contact, and of 1; for N environments each its own.
+    names: names of the numbers of an observation, as an environment's `core.observation_names`
+    weights: (4,), (N, 4), of the force's error, its sum, contact, and of 1; for N environments each its own
     """
 
     names: tuple[str, ...]
@@ -60,17 +56,9 @@ class LinearPolicy:
     def write_law(self, path: str | Path, core: Core) -> Path:
         """Write the policy as a control law of its own, for ``closedloop run SCENARIO --law.kind FILE:Policy``.
 
-        Parameters
-        ----------
-        core : Core
-            That of the environment: its action is the desired force alone, and its law is what the policy commands.
-
-        Raises
-        ------
-        ScenarioError
-            If the environment has other actions, or the weights are those of many.
-        OutputError
-            If the file cannot be written.
+        core: that of the environment: its action is the desired force alone, and its law is what the policy commands
+        Raises `ScenarioError` if the environment has other actions, or the weights are those of many; `OutputError` if
+        the file cannot be written.
         """
         weights = np.asarray(self.weights, dtype=np.float64)
         if core.actions.names != ("force",) or weights.shape != (len(FEATURES) + 1,):

@@ -47,14 +47,10 @@ def random_robot(
 ) -> RandomRobot:
     """Return the random robot of a seed.
 
-    Parameters
-    ----------
-    seed : the same seed is the same robot
-    joints : number of moving joints; 2 to 12 at random by default
-    branching : let links carry several others; else the robot is one chain, with the tip at its end
-    kinds : joint types to draw from
-    drive_inertia : draw an armature for every joint, else none
-    gravity : (3,) base frame [m/s²]; 9.81 in a random direction by default
+    seed: the same seed is the same robot
+    joints: number of moving joints; 2 to 12 at random by default
+    branching: let links carry several others; else the robot is one chain, with the tip at its end
+    gravity: (3,) base frame [m/s²]; 9.81 in a random direction by default
     """
     rng = np.random.default_rng(seed)
     n = int(rng.integers(2, 13)) if joints is None else joints

@@ -17,16 +17,9 @@ from validation.report_tables import MARKS, Section, check_rows, details, grid, 
 class Report:
     """Everything that one run of the harness found; prints itself.
 
-    Attributes
-    ----------
-    comparisons : list of Comparison
-        Engine against engine, by robot.
-    sections : list of Section
-        Identities, published numbers, trajectories, faults.
-    command : str
-        What reproduces the run.
-    details : bool
-        Whether the printed tables have a line for each quantity of each engine, as Markdown and HTML always have.
+    sections: identities, published numbers, trajectories, faults
+    command: what reproduces the run
+    details: whether the printed tables have a line for each quantity of each engine, as Markdown and HTML always have
     """
 
     comparisons: list[Comparison] = field(default_factory=list)

@@ -14,16 +14,10 @@ SHORT = {"not covered": "–", "not installed": "not installed", "not usable": "
 class Check:
     """One line of a section: a value, its bound, and whether it holds.
 
-    Attributes
-    ----------
-    name, of : str
-        What was checked, and on what or on whom.
-    value, tolerance : float
-        The worst error and its bound, in the same unit; nan if nothing was computed.
-    passed : bool or None
-        None: not covered, or not installed; `note` says which.
-    note : str
-        The argument for the bound, or the reason.
+    name, of: what was checked, and on what or on whom
+    value, tolerance: the worst error and its bound, in the same unit; nan if nothing was computed
+    passed: None: not covered, or not installed; `note` says which
+    note: the argument for the bound, or the reason
     """
 
     name: str

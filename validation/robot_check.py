@@ -58,15 +58,9 @@ Said = dict[str, Array]
 class Check(NamedTuple):
     """What a program says.
 
-    Attributes
-    ----------
-    program : str
-    apart : dict of float, optional
-        Of each quantity the largest difference, relative to its largest entry; None if the program cannot be asked.
-    most : float
-        What is rounding.
-    why : str
-        Why it cannot be asked.
+    apart: of each quantity the largest difference, relative to its largest entry; None if the program cannot be asked
+    most: what is rounding
+    why: why it cannot be asked
     """
 
     program: str
@@ -136,13 +130,7 @@ def _of_kernels(robot: Robot, states: list[tuple[Array, Array]]) -> Said:
 
 
 def _closed(robot: Robot, rng: np.random.Generator) -> Array:
-    """Return closed postures (N, n) about the home posture.
-
-    Raises
-    ------
-    ValueError
-        If none is found.
-    """
+    """Return closed postures (N, n) about the home posture. Raises `ValueError` if none is found."""
     from closedloop.mechanics.loops.assemble import closed_start
 
     model = robot.model
@@ -179,12 +167,7 @@ def _apart(robot: Robot, ours: Said, theirs: Said) -> dict[str, float]:
 def _of_mujoco(robot: Robot, file: str, states: list[tuple[Array, Array]], closed: Array) -> Said:
     """Return what MuJoCo computes; of loops, at closed postures.
 
-    Raises
-    ------
-    ValueError
-        If MuJoCo refuses the text.
-    LookupError
-        If it has other joints.
+    Raises `ValueError` if MuJoCo refuses the text; `LookupError` if it has other joints.
     """
     import mujoco
 

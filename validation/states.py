@@ -37,22 +37,12 @@ class Kinematics(Protocol):
 class State:
     """A state and what acts in it.
 
-    Attributes
-    ----------
-    index : int
-        Its number within the seed.
-    q, v, torque : (n,) arrays
-        Joint positions, velocities and torques.
-    normal : (3,) array
-        Unit normal of the surface, base frame.
-    b : float
-        What the closure asks of A q̈ beyond −nᵀJ̇ᵣq̇, m/s².
-    error : float
-        Closure error e that the plane leaves at q, m; the plane's offset follows from it.
-    restitution : float
-        Of an impact, in [0, 1].
-    singular : bool
-        Whether it was looked for near a singular pose.
+    q, v, torque: (n,), joint positions, velocities and torques
+    normal: (3,), unit normal of the surface, base frame
+    b: what the closure asks of A q̈ beyond −nᵀJ̇ᵣq̇, m/s²
+    error: closure error e that the plane leaves at q, m; the plane's offset follows from it
+    restitution: of an impact, in [0, 1]
+    singular: whether it was looked for near a singular pose
     """
 
     index: int

@@ -44,10 +44,7 @@ RANDOM = "random:"
 def load_robot(name: str) -> Any:
     """Return a robot by the name that a report gives it: a robot above, ``random:SEED``, or what `robot_models` loads.
 
-    Raises
-    ------
-    ModelError
-        If there is none.
+    Raises `ModelError` if there is none.
     """
     if name in ROBOTS:
         model, drives = ROBOTS[name]
@@ -163,16 +160,10 @@ def run_suite(
 ) -> Report:
     """Run everything that needs no choice of the user's: the default of ``python -m validation.run``.
 
-    Parameters
-    ----------
-    states, seed : int
-        States drawn for each robot, and the seed.
-    quick : bool
-        Fewer random trees, and no slide: a few seconds with a tenth of the states.
-    engines : sequence of Engine classes
-        More engines to judge.
-    say : callable
-        Gets a word on what is being done.
+    states, seed: states drawn for each robot, and the seed
+    quick: fewer random trees, and no slide: a few seconds with a tenth of the states
+    engines: more engines to judge
+    say: gets a word on what is being done
     """
     report = Report()
     for label in ROBOTS:

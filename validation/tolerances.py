@@ -45,10 +45,7 @@ def amplification(H: Array, J: Array, A: Array) -> float:
     |A D| = 1), which takes the units out. What the scaling of A hides, that rounding in A is relative to all of Jᵣ and
     not to the part along n, comes back as (|Jᵣ D| / |A D|)².
 
-    Parameters
-    ----------
-    H, J, A : (n, n), (3, n), (n,) arrays
-        Mass matrix, tip Jacobian and closure row.
+    H, J, A: (n, n), (3, n), (n,), mass matrix, tip Jacobian and closure row
     """
     D = 1.0 / np.sqrt(np.diag(H))
     size = float(np.linalg.norm(A * D))

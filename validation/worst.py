@@ -22,14 +22,8 @@ def worst_of(
 ) -> tuple[float, str]:
     """Return the worst error over cases, and which quantity of which case it is.
 
-    Parameters
-    ----------
-    cases : iterable
-        The cases.
-    truth : callable
-        Case -> what the oracle says.
-    errors : callable
-        Case, truth -> error of each quantity, by its name. What has no solution is off by inf.
+    truth: case -> what the oracle says
+    errors: case, truth -> error of each quantity, by its name. What has no solution is off by inf.
     """
     worst, where = -1.0, "nothing was compared"
     for case in cases:

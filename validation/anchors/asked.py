@@ -27,11 +27,8 @@ class Unanswered(NotImplementedError):
 class Asked:
     """One engine, built anew for each tip that is asked for.
 
-    Parameters
-    ----------
-    factory : (robot, tip) → engine
-    model : the robot
-    tip : link whose origin is the tip
+    factory: (robot, tip) → engine
+    tip: link whose origin is the tip
     """
 
     def __init__(self, factory: EngineFactory, model: RobotModel, tip: str) -> None:
@@ -91,9 +88,7 @@ class Asked:
     def pressed(self, q: Array, v: Array, torque: Array, normal: Array) -> Array:
         """Return f [N] and then q̈, (1 + n,), of the tip that stays in its plane: Eq. 24, no stabiliser.
 
-        Parameters
-        ----------
-        normal : (3,) unit n, base frame; f is the force of the surface on the robot along it
+        normal: (3,) unit n, base frame; f is the force of the surface on the robot along it
         """
         b = float(-normal @ self.drift(q, v))
 

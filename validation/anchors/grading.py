@@ -14,17 +14,11 @@ from validation.oracle.spatial import Array
 def grade(engine_factory: EngineFactory, problem: ReferenceProblem) -> list[Grade]:
     """Ask an engine for every case of a problem.
 
-    Parameters
-    ----------
-    engine_factory : (model, tip) → an object with the method names of `validation.oracle.Oracle`, as many as it
-        offers, or a `validation.engines.Engine` class
-    problem : what to ask
-
-    Returns
-    -------
-    One grade a case, in their order. A quantity that the engine has no method for, and a robot that it cannot
-    build (`NotImplementedError`, `CannotBuild`), are not covered; neither they, nor NaN, nor a division by zero
-    inside the engine can pass.
+    engine_factory: (model, tip) → an object with as many methods of `validation.oracle.Oracle` as it offers, or a
+        `validation.engines.Engine` class
+    Returns one grade a case, in their order. A quantity that the engine has no method for, and a robot that it cannot
+    build (`NotImplementedError`, `CannotBuild`), are not covered; neither they, nor NaN, nor a division by zero inside
+    the engine can pass.
     """
     try:
         asked = Asked(engine_factory, problem.model, problem.tip)

@@ -16,14 +16,12 @@ from validation.oracle.urdf import RobotModel
 class Case:
     """One value, or array of values, that an engine must give.
 
-    Attributes
-    ----------
-    name : what the value is, in words
-    quantity : key of `QUANTITIES`, which says how an engine is asked for it
-    inputs : arguments of that quantity; SI units and radians, arrays read-only
-    expected : what the source gives
-    tolerance : largest accepted |error| of each entry, in the unit of `expected`; broadcast to its shape
-    argument : why the tolerance is this large and not larger
+    name: what the value is, in words
+    quantity: key of `QUANTITIES`, which says how an engine is asked for it
+    inputs: arguments of that quantity; SI units and radians, arrays read-only
+    expected: what the source gives
+    tolerance: largest accepted |error| of each entry, in the unit of `expected`; broadcast to its shape
+    argument: why the tolerance is this large and not larger
     """
 
     name: str
@@ -54,13 +52,11 @@ class Case:
 class ReferenceProblem:
     """A robot and what is known about it from elsewhere.
 
-    Attributes
-    ----------
-    name : short and unique
-    source : citation of the values, or of the closed form
-    model : the robot, in URDF, with the fields that an engine reads
-    tip : link whose origin is the tip
-    cases : at least one
+    name: short and unique
+    source: citation of the values, or of the closed form
+    model: the robot, in URDF, with the fields that an engine reads
+    tip: link whose origin is the tip
+    cases: at least one
     """
 
     name: str
@@ -81,14 +77,12 @@ class ReferenceProblem:
 class Grade:
     """How an engine did in one case.
 
-    Attributes
-    ----------
-    problem, case, quantity : which case
-    error : |error| of the entry with the largest ratio to its tolerance; inf if there is no answer
-    tolerance : of that entry
-    passed : answered, and every entry within its tolerance
-    covered : the engine has the methods that the quantity needs
-    reason : why it was not covered, or gave no usable answer; else empty
+    problem, case, quantity: which case
+    error: |error| of the entry with the largest ratio to its tolerance; inf if there is no answer
+    tolerance: of that entry
+    passed: answered, and every entry within its tolerance
+    covered: the engine has the methods that the quantity needs
+    reason: why it was not covered, or gave no usable answer; else empty
     """
 
     problem: str

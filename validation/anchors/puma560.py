@@ -78,11 +78,9 @@ def problems() -> tuple[ReferenceProblem, ...]:
 def build(data: Mapping[str, Any], g: float, *, possible: bool = True) -> Robot:
     """Write the arm as URDF.
 
-    Parameters
-    ----------
-    data : content of puma560.json
-    g : gravity along −z [m/s²]
-    possible : every link a body that can exist, the motion unchanged; otherwise as printed, which most engines refuse
+    data: content of puma560.json
+    g: gravity along −z [m/s²]
+    possible: every link a body that can exist, the motion unchanged; otherwise as printed, which most engines refuse
     """
     masses, moments = list(data["m"]), [list(row) for row in data["I"]]
     if possible:

@@ -128,11 +128,9 @@ class Drake(Engine):
 class Part:
     """Where a joint of one velocity, or the turning of one that turns freely, lies.
 
-    Attributes
-    ----------
-    column : its first velocity in the robot's order
-    position, velocity : its first place in Drake's q and v
-    angles : numbers of its orientation in q, 4 of a quaternion or 3 angles; None for a joint of one velocity
+    column: its first velocity in the robot's order
+    position, velocity: its first place in Drake's q and v
+    angles: numbers of its orientation in q, 4 of a quaternion or 3 angles; None for a joint of one velocity
     """
 
     column: int
@@ -178,10 +176,8 @@ def _free_joints(robot: Robot) -> dict[str, str]:
 def build_plant(robot: Robot, time_step: float, scene_graph: Any = None) -> Any:
     """Return the robot as a plant that is not finalized yet, on a fixed base, locked joints welded.
 
-    Parameters
-    ----------
-    time_step : 0 is a continuous plant [s]
-    scene_graph : where geometry is registered, for contact
+    time_step: 0 is a continuous plant [s]
+    scene_graph: where geometry is registered, for contact
     """
     from pydrake.math import RigidTransform
     from pydrake.multibody.parsing import Parser

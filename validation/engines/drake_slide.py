@@ -31,10 +31,8 @@ def slide_drake(of: Problem, *, stiffness: float = STIFFNESS, contact: bool = Tr
     Traps. Geometries that touch without overlapping are not in contact. Outputs are sampled, that is, of the step
     before, unless told otherwise. The "near rigid" regularisation overrules k unless it is set to zero.
 
-    Parameters
-    ----------
-    stiffness : S [kg]
-    contact : False leaves the half-space out, for the proof that it acts
+    stiffness: S [kg]
+    contact: False leaves the half-space out, for the proof that it acts
     """
     from pydrake.geometry import SceneGraph
     from pydrake.multibody.plant import DiscreteContactApproximation

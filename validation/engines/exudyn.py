@@ -106,10 +106,8 @@ class Exudyn(Engine):
 class Solver:
     """A system with its solver started: the state is set, accelerations and multipliers are known.
 
-    Parameters
-    ----------
-    q, v, torque : (n,)
-    locks : (k, 3) orthonormal directions in which the tip is held where it is; None leaves it free
+    q, v, torque: (n,)
+    locks: (k, 3) orthonormal directions in which the tip is held where it is; None leaves it free
     """
 
     def __init__(self, tree: Tree, tip: str, q: Array, v: Array, torque: Array, locks: Array | None) -> None:
@@ -144,13 +142,7 @@ class Solver:
         return float(np.abs(inertial - forcing - closure).max() / size) if size else 0.0
 
     def acceleration(self) -> Array:
-        """Return q̈ (n,).
-
-        Raises
-        ------
-        numpy.linalg.LinAlgError
-            If the solver gave up, whatever it says itself.
-        """
+        """Return q̈ (n,). Raises `numpy.linalg.LinAlgError` if the solver gave up, whatever it says itself."""
         if not self.started or self.residual() > SOLVED:
             raise np.linalg.LinAlgError("Exudyn finds no initial accelerations: the pose is singular")
         return np.array(self.system.systemData.GetODE2Coordinates_tt())

@@ -25,10 +25,6 @@ def slide_exudyn(of: Problem, *, contact: bool = True) -> Trajectory:
     beginning on, an error of first order.
 
     Index 3 magnifies the rounding of positions by 1/h²: f has a floor of 4e-6 N at 0.25 ms and of 2e-5 N at 0.125 ms.
-
-    Parameters
-    ----------
-    contact : False leaves the joint out, for the proof that it acts
     """
     tree, tip, n, lock = read_urdf(of.robot.model), of.robot.tip, len(of.q), of.plane.normal[None, :]
     exudyn: Any = import_module("exudyn")

@@ -123,10 +123,7 @@ class MuJoCo(Engine):
     ) -> tuple[Array, float, float]:
         """Return q̈ (n,), f [N] and the softness R [1/kg] of A q̈ + R f = b as MuJoCo itself solves it.
 
-        Parameters
-        ----------
-        impedance : d of `solimp`, at most 0.9999
-        held : False leaves the constraint out, for the proof that it acts
+        impedance: d of `solimp`, at most 0.9999
         """
         self.model.eq_solimp[0, :2] = impedance
         self._set(q)

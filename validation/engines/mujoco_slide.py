@@ -24,10 +24,8 @@ def slide_mujoco(of: Problem, impedance: float, *, contact: bool = True) -> Traj
     made, so that e = 0 is its zero; a_ref is set to b_s of Eq. 23, with J̇ᵣq̇, which MuJoCo's own a_ref leaves
     out. H, C, Jᵣ, J̇ᵣ, the solve A q̈ + R f = a_ref, and the step (semi-implicit Euler, no damping) are MuJoCo's.
 
-    Parameters
-    ----------
-    impedance : d of `solimp`, the same at any depth: R = (1 − d)/d times MuJoCo's estimate of AH⁻¹Aᵀ
-    contact : False leaves the plane out, for the proof that it acts
+    impedance: d of `solimp`, the same at any depth: R = (1 − d)/d times MuJoCo's estimate of AH⁻¹Aᵀ
+    contact: False leaves the plane out, for the proof that it acts
     """
     if not of.integrator.semi_implicit:
         raise ValueError("MuJoCo's Euler is the semi-implicit one")

@@ -56,10 +56,7 @@ def probe(engine: Engine, *, seed: int = 0) -> ProbeResult:
     on top of a random torque, in motion and with b ≠ 0: the answer must satisfy both rows of Eq. 24. The normal
     is the direction in which the tip moves most easily, so the pose cannot be singular for it.
 
-    Parameters
-    ----------
-    engine : one that covers `constrained`
-    seed : of the state
+    engine: one that covers `constrained`
     """
     rng = np.random.default_rng(seed)
     q, v, torque, b = rng.uniform(-1, 1, engine.n), rng.normal(size=engine.n), rng.normal(size=engine.n), rng.normal()

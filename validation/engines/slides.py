@@ -119,10 +119,7 @@ def compare_slides() -> Iterator[SlideCheck | Missing]:
 def compare_oracle(overrides: dict[str, Any] | None = None) -> Iterator[SlideCheck]:
     """Compare the slide with the hand-written loop, which steps by the same scheme: equal to rounding.
 
-    Parameters
-    ----------
-    overrides : dict, optional
-        Keys of the scenario that are set otherwise; without any it is the whole slide, eight seconds.
+    overrides: keys of the scenario that are set otherwise; without any it is the whole slide, eight seconds
     """
     of = problem(overrides)
     span = f"{of.scenario.time.duration:g} s"

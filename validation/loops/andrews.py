@@ -108,10 +108,7 @@ def spring_torque(data: dict[str, Any], gamma: float) -> float:
 def squeezed(step: float, duration: float, engine: str = "pinocchio") -> tuple[Squeezed, Squeezed]:
     """Return start and end of a run of the mechanism, by rk4 with steps of `step`, s.
 
-    Raises
-    ------
-    RuntimeError
-        If the run stopped.
+    Raises `RuntimeError` if the run stopped.
     """
     model, data = andrews(), read("andrews")
     order = [model.joint_names.index(name) for name in NAMES]

@@ -36,14 +36,9 @@ Entry = Callable[[int, int], int]
 class LoopFault:
     """What is done to the loop before it is asked: nothing.
 
-    Attributes
-    ----------
-    entry : callable
-        What answers for the loops, an entry as `closedloop.loop.step.closed_loops.closed_loops` -> the faulty one.
-    bound : callable
-        Changes the memory of what the loop joints bind, in place.
-    reactions : callable
-        Reactions (N, m) -> the faulty ones.
+    entry: what answers for the loops, an entry as `closedloop.loop.step.closed_loops.closed_loops` -> the faulty one
+    bound: changes the memory of what the loop joints bind, in place
+    reactions: reactions (N, m) -> the faulty ones
     """
 
     entry: Callable[[Entry], Entry] = lambda sound: sound
@@ -80,17 +75,9 @@ def problem_of(case: Case) -> Problem:
 def ask_loop(case: Case, engine: str, fault: LoopFault = SOUND) -> Motion:
     """Return what one of the loop's engines records in the first row of a run from the case's state.
 
-    Parameters
-    ----------
-    case : Case
-    engine : "pinocchio" or "compiled"
-    fault : LoopFault
-        What is made wrong before.
-
-    Raises
-    ------
-    LinAlgError
-        If the loop does not record a row.
+    engine: "pinocchio" or "compiled"
+    fault: what is made wrong before
+    Raises `LinAlgError` if the loop does not record a row.
     """
     problem = problem_of(case)
     n = problem.robot.n

@@ -31,17 +31,10 @@ SLOW = 1e-3
 class Case:
     """One state of a mechanism.
 
-    Attributes
-    ----------
-    name, index
-        Of the mechanism, and the case's number within its seed.
-    robot : RobotModel
-    q, v, torque : (n,) arrays
-        What the law asks of all joints, with a drive or without, N m (N).
-    touch : str
-        Of `TOUCHES`.
-    normal : (3,) array
-        Of the plane through the tip, base frame.
+    name, index: of the mechanism, and the case's number within its seed
+    q, v, torque: (n,), what the law asks of all joints, with a drive or without, N m (N)
+    touch: of `TOUCHES`
+    normal: (3,), of the plane through the tip, base frame
     """
 
     name: str
@@ -78,10 +71,7 @@ def oracle_of(name: str) -> LoopOracle:
 def draw_case(name: str, seed: int, index: int) -> Case:
     """Draw a state of a mechanism that is well away from poses at which its rows lose rank.
 
-    Raises
-    ------
-    RuntimeError
-        If a hundred are not.
+    Raises `RuntimeError` if a hundred are not.
     """
     for attempt in range(100):
         rng = np.random.default_rng([seed, index, attempt])

@@ -60,14 +60,8 @@ def worst_error(cases: Sequence[Case], ask: Callable[[Case], Motion]) -> tuple[f
 def compare_on_loops(states: int, seed: int = 0, names: Sequence[str] = tuple(MECHANISMS)) -> Section:
     """Compare both engines of the loop with the oracle on every mechanism, and the peers that can hold its loops.
 
-    Parameters
-    ----------
-    states : int
-        Cases a mechanism: tips away from everything, that press and that slide take turns.
-    seed : int
-        Of the cases.
-    names : sequence of str
-        Of the mechanisms.
+    states: cases a mechanism: tips away from everything, that press and that slide take turns
+    seed: of the cases
     """
     section = Section(f"{len(names)} mechanisms with loops: worst relative error against Eqs. 1–10 by hand")
     for name in names:

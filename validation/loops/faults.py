@@ -37,16 +37,9 @@ CASES = 3
 class Fault:
     """A fault in a term that loop joints have.
 
-    Attributes
-    ----------
-    name : str
-        What is wrong.
-    mechanism : str
-        One that has the term.
-    oracle : callable
-        LoopOracle -> the faulty one.
-    loop : LoopFault
-        The same in the loop.
+    mechanism: one that has the term
+    oracle: LoopOracle -> the faulty one
+    loop: the same in the loop
     """
 
     name: str

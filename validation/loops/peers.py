@@ -18,12 +18,8 @@ from validation.tolerances import Tolerance
 class LoopPeer:
     """An engine with the loops of one mechanism.
 
-    Attributes
-    ----------
-    name, package, install : str
-        See `validation.engines.interface.Engine`.
-    bound : Tolerance
-        How far from the truth it may be, relative to what q̈ is summed from, and why.
+    name, package, install: see `validation.engines.interface.Engine`
+    bound: how far from the truth it may be, relative to what q̈ is summed from, and why
     """
 
     name: ClassVar[str]

@@ -33,10 +33,7 @@ CLOSED = 1e-12
 def compare_with_published(quick: bool) -> Section:
     """Compare runs of published mechanisms with what is printed of them, and with their own equations.
 
-    Parameters
-    ----------
-    quick : bool
-        Leaves out what takes more than a few seconds: the forty windows, and energy over a minute.
+    quick: leaves out what takes more than a few seconds: the forty windows, and energy over a minute
     """
     section = Section("published mechanisms with loops: values as printed")
     section.checks += _andrews()

@@ -16,19 +16,10 @@ DATA = Path(__file__).parent / "data"
 def columns(file: str, names: Mapping[str, int], given: Path | None = None) -> dict[str, NDArray[np.float64]]:
     """Return columns of an .npz file, double precision.
 
-    Parameters
-    ----------
-    file : str
-        In the folder `data`.
-    names : mapping
-        Each column that is needed, and how many entries a row of it has; 0 of one that is a vector.
-    given : Path, optional
-        A file to read in place of it.
-
-    Raises
-    ------
-    ModelError
-        If it cannot be read, a column is missing, or has another shape.
+    file: in the folder `data`
+    names: each column that is needed, and how many entries a row of it has; 0 of one that is a vector
+    given: a file to read in place of it
+    Raises `ModelError` if it cannot be read, a column is missing, or has another shape.
     """
     path = DATA / file if given is None else given
     try:

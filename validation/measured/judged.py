@@ -17,17 +17,10 @@ HELD_OUT = 0.10
 class Judged:
     """A comparison of a robot's model with its log.
 
-    Attributes
-    ----------
-    robot, source : str
-    numbers : dict
-        For a program; as JSON has them, so that what is not known is None.
-    lines : list of str
-        For a reader.
-    faults : list of str
-        What does not agree with the measurement, a line each; agreement if empty.
-    notes : list of str
-        Why values are not given, a line each.
+    numbers: for a program; as JSON has them, so that what is not known is None
+    lines: for a reader
+    faults: what does not agree with the measurement, a line each; agreement if empty
+    notes: why values are not given, a line each
     """
 
     robot: str

@@ -91,15 +91,10 @@ def constraint_matrix(normals: Array, r: Array, *, couples: bool = False) -> Arr
 
     The motion is restricted to Rᵀ (vₙ − v₀) = 0, and the force that this takes is R f.
 
-    Parameters
-    ----------
-    normals : (k, 3) directions of the forces, base frame
-    r : (3,) the tip [m]
-    couples : add three columns of pure couple, which stop the tip from turning
-
-    Returns
-    -------
-    (6, k) or (6, k + 3) force vectors at O
+    normals: (k, 3) directions of the forces, base frame
+    r: (3,) the tip [m]
+    couples: add three columns of pure couple, which stop the tip from turning
+    Returns (6, k) or (6, k + 3) force vectors at O.
     """
     forces = np.concatenate([normals @ skew(r).T, normals], axis=1).T
     return np.concatenate([forces, np.eye(6)[:, :3]], axis=1) if couples else np.asarray(forces)
@@ -108,16 +103,11 @@ def constraint_matrix(normals: Array, r: Array, *, couples: bool = False) -> Arr
 def constraint_matrix_rate(normals: Array, r: Array, r_dot: Array, omega: Array, *, couples: bool = False) -> Array:
     """Return Ṙ as the tip moves at ṙ and the normals turn at ω with what they are fixed to: Ṙ of Eq. 3.
 
-    Parameters
-    ----------
-    normals : (k, 3) base frame
-    r, r_dot : (3,) the tip and its velocity [m], [m/s]
-    omega : (3,) angular velocity of the normals [rad/s]
-    couples : as for `constraint_matrix`; the three couples along the base axes do not turn
-
-    Returns
-    -------
-    (6, k) or (6, k + 3)
+    normals: (k, 3) base frame
+    r, r_dot: (3,) the tip and its velocity [m], [m/s]
+    omega: (3,) angular velocity of the normals [rad/s]
+    couples: as for `constraint_matrix`; the three couples along the base axes do not turn
+    Returns (6, k) or (6, k + 3).
     """
     turning = normals @ skew(omega).T
     forces = np.concatenate([normals @ skew(r_dot).T + turning @ skew(r).T, turning], axis=1).T
@@ -127,13 +117,8 @@ def constraint_matrix_rate(normals: Array, r: Array, r_dot: Array, omega: Array,
 def closure_torque(R: Array, J: Array, f: Array) -> Array:
     """Return Jᵀ R f, what the closure force adds to Q in H q̈ + C = Q + Jᵀ R f (Eq. 7; T_equ of Eq. 1).
 
-    Parameters
-    ----------
-    R : (6, m); J : (6, n) loop Jacobian Jₙ − J₀; f : (m,) on the robot's tip [N] or [N m]
-
-    Returns
-    -------
-    (n,)
+    R: (6, m); J: (6, n) loop Jacobian Jₙ − J₀; f: (m,) on the robot's tip [N] or [N m]
+    Returns (n,).
     """
     return np.asarray(J.T @ (R @ f))
 
@@ -196,10 +181,8 @@ def stabiliser_gains(damping_ratio: float, time_constant: float) -> tuple[float,
 def stabilised_drift(drift: Array, error: Array, rate: Array, gains: tuple[float, float]) -> Array:
     """Return b_s = −nᵀJ̇ᵣq̇ − s_v ė − s_p e, the ë + s_v ė + s_p e = 0 that Eq. 24 solves for (Eq. 23).
 
-    Parameters
-    ----------
-    drift, error, rate : nᵀJ̇ᵣq̇, e and ė: scalars, or (m,)
-    gains : s_v [1/s], s_p [1/s²]; (0, 0) is no stabiliser
+    drift, error, rate: nᵀJ̇ᵣq̇, e and ė: scalars, or (m,)
+    gains: s_v [1/s], s_p [1/s²]; (0, 0) is no stabiliser
     """
     s_v, s_p = gains
     return np.asarray(-drift - s_v * rate - s_p * error)
@@ -208,13 +191,8 @@ def stabilised_drift(drift: Array, error: Array, rate: Array, gains: tuple[float
 def solve_bordered(H: Array, forcing: Array, A: Array, b: Array) -> tuple[Array, Array]:
     """Solve [[H, Aᵀ], [A, 0]] [q̈; −f] = [Q − C; b_s] as one dense system: Eq. 24, and Eq. 9 for any loop joint.
 
-    Parameters
-    ----------
-    H : (n, n); forcing : (n,) Q − C; A : (m, n) closure rows; b : (m,)
-
-    Returns
-    -------
-    q̈ (n,) and f (m,), the force of the surface on the robot, positive along +n
+    H: (n, n); forcing: (n,) Q − C; A: (m, n) closure rows; b: (m,)
+    Returns q̈ (n,) and f (m,), the force of the surface on the robot, positive along +n.
     """
     A, b = np.atleast_2d(A), np.atleast_1d(b)
     m, n = A.shape
@@ -227,13 +205,8 @@ def solve_bordered(H: Array, forcing: Array, A: Array, b: Array) -> tuple[Array,
 def impulse(H: Array, v: Array, A: Array, restitution: float = 0.0) -> tuple[Array, Array]:
     """Solve [[H, Aᵀ], [A, 0]] [v⁺; −p] = [H v⁻; −ε A v⁻], Eq. 24 integrated over an instant.
 
-    Parameters
-    ----------
-    H : (n, n); v : (n,) rates v⁻ before; A : (m, n); restitution : ε, 0 plastic to 1 elastic
-
-    Returns
-    -------
-    v⁺ (n,) and p (m,) [N s], the impulse of the surface on the robot, positive along +n: H (v⁺ − v⁻) = Aᵀ p
+    H: (n, n); v: (n,) rates v⁻ before; A: (m, n); restitution: ε, 0 plastic to 1 elastic
+    Returns v⁺ (n,) and p (m,) [N s], the impulse of the surface on the robot, positive along +n: H (v⁺ − v⁻) = Aᵀ p.
     """
     A = np.atleast_2d(A)
     return solve_bordered(H, H @ v, A, -restitution * (A @ v))

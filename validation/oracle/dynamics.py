@@ -38,14 +38,9 @@ def mass_matrix_by_newton_euler(tree: Tree, pose: Pose) -> Array:
 def inverse_dynamics(tree: Tree, pose: Pose, v: Array, a: Array, *, push: Array | None = None) -> Array:
     """Return Q = H q̈ + C − (what `push` does) of Eq. 8 by recursive Newton–Euler.
 
-    Parameters
-    ----------
-    v, a : (n,) joint rates q̇ and accelerations q̈
-    push : (n, 6) force vectors at O that the surroundings exert on the bodies; none by default
-
-    Returns
-    -------
-    (n,) [N m] or [N]
+    v, a: (n,) joint rates q̇ and accelerations q̈
+    push: (n, 6) force vectors at O that the surroundings exert on the bodies; none by default
+    Returns (n,) [N m] or [N].
     """
     return _newton_euler(tree, pose, v, a, tree.gravity, push)
 
@@ -95,13 +90,8 @@ def coriolis_matrix(tree: Tree, pose: Pose, v: Array) -> Array:
     v_i×* I_i v_i and B_i + B_iᵀ = İ_i give the two properties (Echeandia and Wensing, 2021: these are the
     Christoffel symbols).
 
-    Parameters
-    ----------
-    v : (n,) joint rates q̇
-
-    Returns
-    -------
-    (n, n)
+    v: (n,) joint rates q̇
+    Returns (n, n).
     """
     velocity = body_velocities(tree, pose, v)
     rates = axis_rates(pose, velocity)

@@ -40,9 +40,7 @@ class Pose:
 def forward_kinematics(tree: Tree, q: Array) -> Pose:
     """Place every body: from the base outwards, R_i = R_λ R_tree R_joint(q_i).
 
-    Parameters
-    ----------
-    q : (n,) [rad] or [m]
+    q: (n,) [rad] or [m]
     """
     q = np.asarray(q)
     n, dtype = tree.size, np.result_type(q, np.float64)
@@ -80,13 +78,8 @@ def joint_axes(tree: Tree, rotation: Array, position: Array) -> Array:
 def body_velocities(tree: Tree, pose: Pose, v: Array) -> Array:
     """Return the spatial velocity of every body, v_i = v_λ(i) + s_i q̇_i with v_0 = 0: J q̇ of Eq. 4.
 
-    Parameters
-    ----------
-    v : (n,) joint rates q̇ [rad/s] or [m/s]
-
-    Returns
-    -------
-    (n, 6) motion vectors at O
+    v: (n,) joint rates q̇ [rad/s] or [m/s]
+    Returns (n, 6) motion vectors at O.
     """
     out = pose.axes * np.asarray(v)[:, None]
     for i, above in enumerate(tree.parent):
@@ -98,13 +91,8 @@ def body_velocities(tree: Tree, pose: Pose, v: Array) -> Array:
 def axis_rates(pose: Pose, velocities: Array) -> Array:
     """Return ṡ_i = v_i × s_i, the rate of a joint axis carried along by its body (in Eq. 28).
 
-    Parameters
-    ----------
-    velocities : (n, 6) of the bodies, at O
-
-    Returns
-    -------
-    (n, 6)
+    velocities: (n, 6) of the bodies, at O
+    Returns (n, 6).
     """
     return np.asarray((cross_motion(velocities) @ pose.axes[..., None])[..., 0])
 
@@ -112,13 +100,8 @@ def axis_rates(pose: Pose, velocities: Array) -> Array:
 def bias_accelerations(tree: Tree, pose: Pose, v: Array) -> Array:
     """Return all bodies' accelerations at q̈ = 0, a_i = a_λ(i) + v_i × s_i q̇_i, a_0 = 0 (Eq. 31, Eq. 32).
 
-    Parameters
-    ----------
-    v : (n,) joint rates q̇ [rad/s] or [m/s]
-
-    Returns
-    -------
-    (n, 6) motion vectors at O
+    v: (n,) joint rates q̇ [rad/s] or [m/s]
+    Returns (n, 6) motion vectors at O.
     """
     return accelerations(tree, axis_rates(pose, body_velocities(tree, pose, v)) * np.asarray(v)[:, None])
 
@@ -138,9 +121,7 @@ def accelerations(tree: Tree, own: Array) -> Array:
 def spatial_jacobian(tree: Tree, pose: Pose, body: int) -> Array:
     """Return J of a body: its column i is s_i if joint i carries the body, else zero; v_body = J q̇ (Eq. 25, Eq. 4).
 
-    Returns
-    -------
-    (6, n) motion vectors at O; all zero for `GROUND`
+    Returns (6, n) motion vectors at O; all zero for `GROUND`.
     """
     if body == GROUND:
         return np.zeros((6, tree.size), dtype=pose.axes.dtype)
@@ -152,15 +133,10 @@ def toolbox_jacobians(jacobian: Array, r: Array, rotation: Array) -> tuple[Array
 
     Both are of the point r, along the base axes and along the axes of the tip's frame.
 
-    Parameters
-    ----------
-    jacobian : (6, n) spatial Jacobian at O (Eq. 25)
-    r : (3,) base frame [m]
-    rotation : (3, 3) axes of the tip's frame in base axes; its transpose is the paper's E
-
-    Returns
-    -------
-    (6, n), (6, n) angular rows first
+    jacobian: (6, n) spatial Jacobian at O (Eq. 25)
+    r: (3,) base frame [m]
+    rotation: (3, 3) axes of the tip's frame in base axes; its transpose is the paper's E
+    Returns (6, n), angular rows first.
     """
     at_tip = np.concatenate([jacobian[:3], translational_jacobian(jacobian, r)])
     own = rotation.T
@@ -172,14 +148,9 @@ def loop_jacobians(tree: Tree, pose: Pose, tip: str, base: str | None = None) ->
 
     The velocity across the loop joint is their difference times q̇. With the surface at rest the first is zero.
 
-    Parameters
-    ----------
-    tip : link on the tip's side of the loop joint
-    base : link on the other side; None is the ground
-
-    Returns
-    -------
-    (6, n), (6, n) at O
+    tip: link on the tip's side of the loop joint
+    base: link on the other side; None is the ground
+    Returns (6, n) at O.
     """
     other = GROUND if base is None else tree.frame(base).body
     return spatial_jacobian(tree, pose, other), spatial_jacobian(tree, pose, tree.frame(tip).body)
@@ -190,9 +161,7 @@ def spatial_drift(tree: Tree, pose: Pose, v: Array, body: int) -> Array:
 
     It is a_n^vp of Eq. 30, the last term of Eq. 5 and of Eq. 29.
 
-    Returns
-    -------
-    (6,) motion vector at O
+    Returns (6,) motion vector at O.
     """
     if body == GROUND:
         return np.zeros(6, dtype=np.result_type(pose.axes, v))
@@ -218,14 +187,9 @@ def tip_rotation(tree: Tree, pose: Pose, tip: str) -> Array:
 def point_velocity(velocity: Array, r: Array) -> Array:
     """Return ṙ = v_O + ω × r of the body-fixed point at r (Eq. 16).
 
-    Parameters
-    ----------
-    velocity : (6,) spatial velocity of the body, at O
-    r : (3,) base frame [m]
-
-    Returns
-    -------
-    (3,) [m/s]
+    velocity: (6,) spatial velocity of the body, at O
+    r: (3,) base frame [m]
+    Returns (3,) [m/s].
     """
     return np.asarray(velocity[3:] + skew(velocity[:3]) @ r)
 
@@ -233,14 +197,9 @@ def point_velocity(velocity: Array, r: Array) -> Array:
 def translational_jacobian(jacobian: Array, r: Array) -> Array:
     """Return Jᵣ = J_lin − r×J_ang, so that ṙ = Jᵣ q̇ (Eq. 13, with r× of Eq. 14).
 
-    Parameters
-    ----------
-    jacobian : (6, n) spatial Jacobian at O
-    r : (3,) base frame [m]
-
-    Returns
-    -------
-    (3, n)
+    jacobian: (6, n) spatial Jacobian at O
+    r: (3,) base frame [m]
+    Returns (3, n).
     """
     return np.asarray(jacobian[3:] - skew(r) @ jacobian[:3])
 
@@ -250,15 +209,10 @@ def point_acceleration(acceleration: Array, velocity: Array, r: Array) -> Array:
 
     With the spatial bias acceleration J̇q̇ as `acceleration`, this is the drift J̇ᵣq̇: Eq. 18.
 
-    Parameters
-    ----------
-    acceleration : (6,) spatial acceleration of the body (ω̇, a_O), at O; a_O is not a point's acceleration
-    velocity : (6,) its spatial velocity, at O
-    r : (3,) base frame [m]
-
-    Returns
-    -------
-    (3,) [m/s²]
+    acceleration: (6,) spatial acceleration of the body (ω̇, a_O), at O; a_O is not a point's acceleration
+    velocity: (6,) its spatial velocity, at O
+    r: (3,) base frame [m]
+    Returns (3,) [m/s²].
     """
     r_dot = point_velocity(velocity, r)
     return np.asarray(acceleration[3:] + skew(acceleration[:3]) @ r + skew(velocity[:3]) @ r_dot)

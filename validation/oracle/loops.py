@@ -72,11 +72,8 @@ class Motion:
 class LoopOracle:
     """A mechanism by the paper's own equations.
 
-    Parameters
-    ----------
-    oracle : the tree
-    loops : what closes it
-    drives : names of the joints that have a drive; all of them if empty
+    loops: what closes it
+    drives: names of the joints that have a drive; all of them if empty
     """
 
     def __init__(self, oracle: Oracle, loops: Sequence[LoopJoint], drives: Sequence[str] = ()) -> None:
@@ -184,10 +181,7 @@ class LoopOracle:
     def through_drives(self, torque: Array, G: Array) -> Array:
         """Return the torque (n,) of the drives alone that moves the mechanism as `torque` would.
 
-        Raises
-        ------
-        LinAlgError
-            If the drives cannot give it.
+        Raises `LinAlgError` if the drives cannot give it.
         """
         free = ~self.driven
         force = np.linalg.lstsq(G[:, free].T, torque[free], rcond=DEPENDENT)[0]
@@ -199,11 +193,9 @@ class LoopOracle:
     def answer(self, q: Array, v: Array, torque: Array, normal: Array | None = None, slope: float = 0.0) -> Motion:
         """Return the motion under a torque of all joints, and the reactions of the torque that the drives give for it.
 
-        Parameters
-        ----------
-        q, v, torque : (n,)
-        normal : (3,) of a plane on which the tip is held; None: it is free
-        slope : Coulomb's μ of a tip that slides on it
+        q, v, torque: (n,)
+        normal: (3,) of a plane on which the tip is held; None: it is free
+        slope: Coulomb's μ of a tip that slides on it
         """
         tree, pose = self.oracle.tree, self.oracle.pose(q)
         found = self.all_rows(q, v)

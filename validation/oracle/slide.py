@@ -68,13 +68,8 @@ def control_law(
 ) -> Array:
     """Return Q = −K_p (q − q_des) − K_d (q̇ − q̇_des) + C + Jᵣᵀ n (−f_des) (Eq. 33).
 
-    Parameters
-    ----------
-    t : [s]; q, v, q_des, v_des : (n,); normal : (3,) unit n, base frame; terms : of (q, v)
-
-    Returns
-    -------
-    (n,) [N m] or [N]
+    t: [s]; q, v, q_des, v_des: (n,); normal: (3,) unit n, base frame; terms: of (q, v)
+    Returns (n,) [N m] or [N].
     """
     torque = terms.bias + terms.jacobian.T @ normal * -law.force
     if t >= law.start:
@@ -95,12 +90,9 @@ def simulate_slide(
 ) -> Slide:
     """Slide the tip along a plane: at each t_k Eq. 33, Eq. 23, Eq. 24, then v⁺ = v + h q̈, q⁺ = q + h v⁺.
 
-    Parameters
-    ----------
-    q, v : (n,) the state at t = 0; complex, as gains and force may be, for derivatives by a complex step
-    q_des, v_des : (N, n) the reference at t_k = k h; N is the number of rows of the result, N − 1 steps are
-        made
-    step : h [s]
+    q, v: (n,) the state at t = 0; complex, as gains and force may be, for derivatives by a complex step
+    q_des, v_des: (N, n), made
+    step: h [s]
     """
     dtype = np.result_type(np.float64, q, v, law.kp, law.kd, law.force)
     q, v, normal = np.array(q, dtype=dtype), np.array(v, dtype=dtype), np.asarray(closure.normal, dtype=float)

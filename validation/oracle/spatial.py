@@ -27,13 +27,8 @@ Array = NDArray[Any]
 def skew(a: Array) -> Array:
     """Return the matrix a× that multiplies like the cross product: (a×) b = a × b.
 
-    Parameters
-    ----------
-    a : (..., 3)
-
-    Returns
-    -------
-    (..., 3, 3)
+    a: (..., 3)
+    Returns (..., 3, 3).
     """
     a = np.asarray(a)
     out = np.zeros((*a.shape, 3), dtype=a.dtype)
@@ -50,13 +45,8 @@ def cross_motion(v: Array) -> Array:
         v× = [ ω×    0  ]
              [ v_O×  ω× ]
 
-    Parameters
-    ----------
-    v : (..., 6) motion vector, base frame at O
-
-    Returns
-    -------
-    (..., 6, 6)
+    v: (..., 6) motion vector, base frame at O
+    Returns (..., 6, 6).
     """
     v = np.asarray(v)
     out = np.zeros((*v.shape, 6), dtype=v.dtype)
@@ -70,13 +60,8 @@ def cross_force(v: Array) -> Array:
 
     v×* = −(v×)ᵀ, because the power f·m of two vectors carried along together stays the same.
 
-    Parameters
-    ----------
-    v : (..., 6) motion vector, base frame at O
-
-    Returns
-    -------
-    (..., 6, 6)
+    v: (..., 6) motion vector, base frame at O
+    Returns (..., 6, 6).
     """
     return -np.swapaxes(cross_motion(v), -1, -2)
 
@@ -87,13 +72,8 @@ def cross_swapped(f: Array) -> Array:
         f×̄* = −[ n_O×  f× ]
                [ f×    0  ]
 
-    Parameters
-    ----------
-    f : (..., 6) force vector, base frame at O
-
-    Returns
-    -------
-    (..., 6, 6)
+    f: (..., 6) force vector, base frame at O
+    Returns (..., 6, 6).
     """
     f = np.asarray(f)
     out = np.zeros((*f.shape, 6), dtype=f.dtype)
@@ -108,14 +88,9 @@ def motion_to_base(rotation: Array, position: Array) -> Array:
         X = [ R     0 ]
             [ p×R   R ]
 
-    Parameters
-    ----------
-    rotation : (..., 3, 3) axes of the frame, base coordinates
-    position : (..., 3) origin of the frame, base coordinates [m]
-
-    Returns
-    -------
-    (..., 6, 6)
+    rotation: (..., 3, 3) axes of the frame, base coordinates
+    position: (..., 3) origin of the frame, base coordinates [m]
+    Returns (..., 6, 6).
     """
     out = np.zeros((*rotation.shape[:-2], 6, 6), dtype=np.result_type(rotation, position))
     out[..., :3, :3] = out[..., 3:, 3:] = rotation
@@ -131,14 +106,9 @@ def motion_from_base(rotation: Array, position: Array) -> Array:
 
     Its transpose takes a *force* vector from the frame's coordinates to base ones.
 
-    Parameters
-    ----------
-    rotation : (..., 3, 3) axes of the frame, base coordinates
-    position : (..., 3) origin of the frame, base coordinates [m]
-
-    Returns
-    -------
-    (..., 6, 6)
+    rotation: (..., 3, 3) axes of the frame, base coordinates
+    position: (..., 3) origin of the frame, base coordinates [m]
+    Returns (..., 6, 6).
     """
     transposed = np.swapaxes(rotation, -1, -2)
     out = np.zeros((*rotation.shape[:-2], 6, 6), dtype=np.result_type(rotation, position))
@@ -153,15 +123,10 @@ def spatial_inertia(mass: float, centre: Array, about_centre: Array) -> Array:
         I = [ I_c − m c×c×   m c× ]
             [ −m c×          m 1  ]
 
-    Parameters
-    ----------
-    mass : [kg]
-    centre : (3,) centre of mass c, in the frame [m]
-    about_centre : (3, 3) rotational inertia tensor about the centre of mass, along the frame's axes [kg m²]
-
-    Returns
-    -------
-    (6, 6) symmetric; maps a motion vector to a momentum
+    mass: [kg]
+    centre: (3,) centre of mass c, in the frame [m]
+    about_centre: (3, 3) rotational inertia tensor about the centre of mass, along the frame's axes [kg m²]
+    Returns (6, 6) symmetric; maps a motion vector to a momentum.
     """
     c = skew(np.asarray(centre, dtype=float))
     out = np.zeros((6, 6))
@@ -175,15 +140,10 @@ def spatial_inertia(mass: float, centre: Array, about_centre: Array) -> Array:
 def inertia_to_base(rotation: Array, position: Array, inertia: Array) -> Array:
     """Return X⁻ᵀ I X⁻¹: a spatial inertia taken from a frame's own coordinates to base ones.
 
-    Parameters
-    ----------
-    rotation : (..., 3, 3) axes of the frame, base coordinates
-    position : (..., 3) origin of the frame, base coordinates [m]
-    inertia : (..., 6, 6) in the frame
-
-    Returns
-    -------
-    (..., 6, 6)
+    rotation: (..., 3, 3) axes of the frame, base coordinates
+    position: (..., 3) origin of the frame, base coordinates [m]
+    inertia: (..., 6, 6) in the frame
+    Returns (..., 6, 6).
     """
     inverse = motion_from_base(rotation, position)
     return np.asarray(np.swapaxes(inverse, -1, -2) @ inertia @ inverse)
@@ -192,13 +152,8 @@ def inertia_to_base(rotation: Array, position: Array, inertia: Array) -> Array:
 def rotation_from_rpy(rpy: Array) -> Array:
     """Return the rotation of a URDF ``rpy``: about the fixed axes x, then y, then z, R = R_z R_y R_x.
 
-    Parameters
-    ----------
-    rpy : (3,) roll, pitch, yaw [rad]
-
-    Returns
-    -------
-    (3, 3)
+    rpy: (3,) roll, pitch, yaw [rad]
+    Returns (3, 3).
     """
     (cr, cp, cy), (sr, sp, sy) = np.cos(rpy), np.sin(rpy)
     about_x = np.array([[1.0, 0.0, 0.0], [0.0, cr, -sr], [0.0, sr, cr]])

@@ -152,15 +152,12 @@ class Touch:
 class SurfaceContact:
     """A robot whose tip touches a surface.
 
-    Attributes
-    ----------
-    oracle : the robot
-    shape : φ
-    origin, axes : (3,), (3, 3) of the surface before it is displaced; rows x, y, z, base frame
-    displacement : how it is displaced, and moves
-    gains : s_v, s_p of the stabiliser
-    push : f of depth [m] and its rate [m/s], N; None of a rigid surface
-    friction : Coulomb's μ
+    shape: φ
+    origin, axes: (3,), (3, 3) of the surface before it is displaced; rows x, y, z, base frame
+    displacement: how it is displaced, and moves
+    gains: s_v, s_p of the stabiliser
+    push: f of depth [m] and its rate [m/s], N; None of a rigid surface
+    friction: Coulomb's μ
     """
 
     oracle: Oracle
@@ -215,9 +212,7 @@ class SurfaceContact:
     def answer(self, q: Array, v: Array, torque: Array, anchor: Array | None = None) -> tuple[Array, Array, Touch]:
         """Return q̈ (n,) and the force F (3,) in the contact frame, with the rows it is from.
 
-        Parameters
-        ----------
-        anchor : (3,) where a tip that sticks is held, in the surface's axes [m]; None: it slides
+        anchor: (3,) where a tip that sticks is held, in the surface's axes [m]; None: it slides
         """
         touch = self.touch(q, v)
         pose = self.oracle.pose(q)

@@ -129,13 +129,10 @@ def build_tree(
 ) -> Tree:
     """Merge rigidly connected links and number the moving joints as `joint_names` orders them.
 
-    Parameters
-    ----------
-    links, joints : the description, in any order; the one link that is no joint's child is the base
-    joint_names : (n,) the moving joints in column order, a parent before its children
-    armature : (n,) drive inertia [kg m²] or [kg]; none by default
-    gravity : (3,) base frame [m/s²]
-    locked : joints held rigid, and where [rad] or [m]
+    links, joints: the description, in any order; the one link that is no joint's child is the base
+    joint_names: (n,) the moving joints in column order, a parent before its children
+    armature: (n,) drive inertia [kg m²] or [kg]; none by default
+    gravity: (3,) base frame [m/s²]
     """
     locked = dict(locked or {})
     column = {name: i for i, name in enumerate(joint_names)}

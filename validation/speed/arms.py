@@ -24,12 +24,8 @@ START = 0.01
 def slide(arm: str, steps: int) -> Problem:
     """Return the slide of an arm as numbers: `steps` steps of a millisecond, in motion from 10 ms on.
 
-    Parameters
-    ----------
-    arm : str
-        One of `ARMS`.
-    steps : int
-        How many steps of 1 ms to take.
+    arm: one of `ARMS`
+    steps: how many steps of 1 ms to take
     """
     changes: dict[str, Any] = {
         "time.duration": steps * 1e-3, "reference.start": START, "reference.stop": 1e-3 * steps + 0.1,

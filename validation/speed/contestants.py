@@ -33,23 +33,13 @@ Lap = Callable[[], tuple[float | None, Array | None]]
 class Contestant:
     """One row of the table.
 
-    Attributes
-    ----------
-    name, arm : str
-        Who, and on which arm.
-    joints, steps : int
-        Joints of the arm, and steps of a lap.
-    lap : callable
-        See `Lap`.
-    wanted : array or None
-        What it must come to, if it does the whole work: q (n,), rad, at the end.
-    tolerance : float
-        How far from there it may be.
-    what : str
-        In words.
-    converged : array or None
-        What a lap comes to with a rigid contact and endlessly short steps, where that is known: its error is counted
-        from there.
+    name, arm: who, and on which arm
+    joints, steps: joints of the arm, and steps of a lap
+    lap: see `Lap`
+    wanted: what it must come to, if it does the whole work: q (n,), rad, at the end
+    tolerance: how far from there it may be
+    converged: what a lap comes to with a rigid contact and endlessly short steps, where that is known: its error is
+        counted from there
     """
 
     name: str

@@ -157,9 +157,7 @@ def page_drag(page: Any, lab: Lab, key: str, seconds: float, rate: float) -> Mov
 def wait_until(page: Any, condition: str, seconds: float = 1e-3 * PATIENCE) -> None:
     """Wait until a condition is true in a page; Playwright's own way evaluates text, which the page's policy forbids.
 
-    Raises
-    ------
-    TimeoutError
+    Raises `TimeoutError`.
     """
     end = clock.monotonic() + seconds
     while not page.evaluate(f"Boolean({condition})"):

@@ -21,16 +21,9 @@ from validation.speed.contestants import Contestant
 class Timing:
     """What the laps of a contestant took.
 
-    Attributes
-    ----------
-    contestant : Contestant
-        Whose.
-    wall : (K,) array
-        Seconds a step, by the wall's clock, of each lap.
-    share : (K,) array
-        Processor time over wall time of each lap: cores that were busy for it.
-    end : array or None
-        What the last lap came to.
+    wall: (K,), seconds a step, by the wall's clock, of each lap
+    share: (K,), processor time over wall time of each lap: cores that were busy for it
+    end: what the last lap came to
     """
 
     contestant: Contestant
@@ -72,15 +65,8 @@ def race(
 ) -> dict[tuple[str, str], Timing]:
     """Let every contestant run a lap to get warm and then `repeats` more, in turns.
 
-    Returns
-    -------
-    dict
-        (arm, name) -> `Timing`.
-
-    Raises
-    ------
-    RuntimeError
-        If one that does the whole work ends elsewhere than it should: it has not done the same.
+    Returns (arm, name) -> `Timing`.
+    Raises `RuntimeError` if one that does the whole work ends elsewhere than it should: it has not done the same.
     """
     keys = [(c.arm, c.name) for c in contestants]
     ends: dict[tuple[str, str], Array | None] = {}

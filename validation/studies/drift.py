@@ -89,16 +89,10 @@ def fitted_slope(x: Sequence[float], y: Sequence[float]) -> tuple[float, float]:
 def power_law(setting: str, values: Sequence[float], theory: float, scheme: str, stabiliser: str) -> dict[str, Any]:
     """Return the largest |e| of the slide, m, against one of its settings, and the exponent beside that of theory.
 
-    Parameters
-    ----------
-    setting : str
-        "step", "speed" or "tolerance", see `slide`; the others are the paper's.
-    values : sequence of float
-        Of the setting, s, m/s or without unit.
-    theory : float
-        The exponent expected.
-    scheme, stabiliser : str
-        See `slide`.
+    setting: "step", "speed" or "tolerance", see `slide`; the others are the paper's
+    values: of the setting, s, m/s or without unit
+    theory: the exponent expected
+    scheme, stabiliser: see `slide`
     """
     errors = [largest_error(slide(scheme=scheme, stabiliser=stabiliser, **{setting: value})) for value in values]
     slope, misfit = fitted_slope(values, [e for e, _ in errors])

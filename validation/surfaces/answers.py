@@ -86,17 +86,9 @@ def problem_of(case: Case, placed: PlacedSurface) -> Problem:
 def ask_loop(case: Case, engine: str, fault: Callable[[Problem], Problem] = lambda problem: problem) -> Answer:
     """Return what one of the loop's engines records in the first row of a run from the case's state.
 
-    Parameters
-    ----------
-    case : Case
-    engine : "pinocchio" or "compiled"
-    fault : callable
-        What is done to the problem before.
-
-    Raises
-    ------
-    LinAlgError
-        If the loop does not record a row.
+    engine: "pinocchio" or "compiled"
+    fault: what is done to the problem before
+    Raises `LinAlgError` if the loop does not record a row.
     """
     problem = fault(problem_of(case, placed_surface(case)))
     n = problem.robot.n

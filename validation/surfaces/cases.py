@@ -69,23 +69,15 @@ class Tumble(SurfaceMotion):
 class Case:
     """One state on one surface.
 
-    Attributes
-    ----------
-    name, index
-        Of the robot, and the case's number within its seed.
-    robot, tip, tool
-        The robot without its tool, the frame that carries it or touches, and [tool] of the scenario, empty for none.
-    shape, section
-        Which of `SHAPES`, and [surface] of the scenario.
-    material : str
-        Which of `MATERIALS`.
-    moving, t
-        The motion of the surface, and the instant, s.
-    origin : (3,) array
-        Of the surface at t = 0, m, base frame.
-    anchor : (3,) array
-        Where a tip that sticks is held, m, axes of the surface.
-    q, v, torque : (n,) arrays
+    name, index: of the robot, and the case's number within its seed
+    robot, tip, tool: the robot without its tool, the frame that carries it or touches, and [tool] of the scenario,
+        empty for none
+    shape, section: which of `SHAPES`, and [surface] of the scenario
+    material: which of `MATERIALS`
+    moving, t: the motion of the surface, and the instant, s
+    origin: (3,), of the surface at t = 0, m, base frame
+    anchor: (3,), where a tip that sticks is held, m, axes of the surface
+    q, v, torque: (n,)
     """
 
     name: str

@@ -61,12 +61,8 @@ def draw_cases(name: str, robot: Any, tip: str, seed: int, count: int) -> list[C
 def compare_on_surfaces(states: int, trees: int, seed: int = 0) -> Section:
     """Compare both engines of the loop with the oracle: on the shipped arms and on random trees.
 
-    Parameters
-    ----------
-    states : int
-        Cases an arm: shapes, materials and motions take turns, so that 30 have every pair of shape and material.
-    trees, seed : int
-        Random trees, of 5 cases each; seed of the cases.
+    states: cases an arm: shapes, materials and motions take turns, so that 30 have every pair of shape and material
+    trees, seed: random trees, of 5 cases each; seed of the cases
     """
     title = f"curved, moving, rubbing and soft surfaces ({len(SHAPES)} shapes, {len(MATERIALS)} materials, 5 motions)"
     section = Section(f"{title}: worst relative error against Eqs. 2–3 by hand")

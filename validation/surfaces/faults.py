@@ -133,14 +133,8 @@ class NotTurning(PlacedSurface):
 class SurfaceFault:
     """A fault in a term that curved, moving or soft surfaces have.
 
-    Attributes
-    ----------
-    name : str
-        What is wrong.
-    case, material : int, str
-        Number of a case that has the term, and what its surface is made of.
-    oracle, loop : callables
-        SurfaceContact or Problem, and the case -> the faulty one.
+    case, material: number of a case that has the term, and what its surface is made of
+    oracle, loop: SurfaceContact or Problem, and the case -> the faulty one
     """
 
     name: str

@@ -34,17 +34,11 @@ MOST_IMPACTS = 5
 class Tried:
     """What an engine made of the tosses.
 
-    Attributes
-    ----------
-    engine : CubeEngine
-    paths : list of (rows, 7) array
-        From the first row.
-    means : (tosses, 2) array
-        Mean position error, % of the side, and rotation error, degrees, of each; NaN where not completed.
-    started : (tosses, 2) array
-        The same, from the state fitted to the flight.
-    seconds : float
-        Wall time of a toss.
+    paths: (rows, 7), from the first row
+    means: (tosses, 2), mean position error, % of the side, and rotation error, degrees, of each; NaN where not
+        completed
+    started: (tosses, 2), the same, from the state fitted to the flight
+    seconds: wall time of a toss
     """
 
     engine: CubeEngine

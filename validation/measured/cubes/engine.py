@@ -49,14 +49,9 @@ class CubeEngine(ABC):
     def simulate(self, values: Sequence[float], starts: Sequence[Array], tosses: Sequence[Toss]) -> list[Array]:
         """Return position and quaternion (rows, 7) of each toss at its instants; fewer rows if it was not completed.
 
-        Parameters
-        ----------
-        values : sequence of float
-            Of the parameters, in their order.
-        starts : sequence of (13,) array
-            The state that each begins with.
-        tosses : sequence of Toss
-            Which say how many rows there are.
+        values: of the parameters, in their order
+        starts: (13,), the state that each begins with
+        tosses: which say how many rows there are
         """
 
 

@@ -26,13 +26,7 @@ SPEED = 0.2
 
 
 def toss_of(tosses: Sequence[Toss], number: int) -> Toss:
-    """Return the toss of a number.
-
-    Raises
-    ------
-    ScenarioError
-        If there is none.
-    """
+    """Return the toss of a number. Raises `ScenarioError` if there is none."""
     for toss in tosses:
         if toss.number == number:
             return toss
@@ -74,12 +68,7 @@ def opened(toss: Toss) -> Lab:
 def film(toss: Toss, path: Path) -> Path:
     """Write a film of a toss, simulated and measured, beside its errors: a .gif or a .mp4, or the lab's page, a .html.
 
-    Raises
-    ------
-    ScenarioError
-        If the path has another ending.
-    OutputError
-        If the file cannot be written.
+    Raises `ScenarioError` if the path has another ending; `OutputError` if the file cannot be written.
     """
     run, ghosts = simulated(toss), [as_fitted(toss)]
     if path.suffix.lower() == ".html":

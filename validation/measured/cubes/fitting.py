@@ -43,15 +43,9 @@ def fit(
     rough, since tosses tumble one way or the other, and a simplex can collapse on a slope of it: after `ROUND`
     simulations a new one begins at the best values so far.
 
-    Parameters
-    ----------
-    engine : CubeEngine
-    tosses : sequence of Toss
-        See `training`.
-    budget : int
-        Simulations of all of them.
-    told : callable, optional
-        Gets a line after each simulation.
+    tosses: see `training`
+    budget: simulations of all of them
+    told: gets a line after each simulation
     """
     starts = [first_row(toss) for toss in tosses]
     low, high = (np.log([getattr(p, end) for p in engine.parameters]) for end in ("low", "high"))

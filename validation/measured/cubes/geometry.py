@@ -22,16 +22,10 @@ LAST = 8
 class Geometry:
     """What the log says.
 
-    Attributes
-    ----------
-    centre : (3,)
-        Of mass, from the middle of the cube, m, axes of the cube.
-    gravity : (3,)
-        Acceleration of the centre of mass in the air, m/s², axes of the log.
-    slope : (2,)
-        Of the board along x and y, rad, from the heights of cubes at rest.
-    heights : (6,)
-        Mean height of the middle of a cube that lies on each of its sides, m: −x, +x, −y, +y, −z, +z up.
+    centre: (3,), of mass, from the middle of the cube, m, axes of the cube
+    gravity: (3,), acceleration of the centre of mass in the air, m/s², axes of the log
+    slope: (2,), of the board along x and y, rad, from the heights of cubes at rest
+    heights: (6,), mean height of the middle of a cube that lies on each of its sides, m: −x, +x, −y, +y, −z, +z up
     """
 
     centre: Array

@@ -34,10 +34,7 @@ def judge(given: Path | None = None) -> Judged:
 
     A fault is a toss that this package does not complete, or an engine that is closer to the tosses on average.
 
-    Raises
-    ------
-    ModelError
-        If the file cannot be read, or has no toss that the engines were not fitted to.
+    Raises `ModelError` if the file cannot be read, or has no toss that the engines were not fitted to.
     """
     shipped = read()
     tosses = held_out(read(given) if given else shipped, shipped)

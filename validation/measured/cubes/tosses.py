@@ -36,10 +36,7 @@ class Toss:
 def read(given: Path | None = None) -> list[Toss]:
     """Return the tosses that come with the package, or those of a file in the same format.
 
-    Raises
-    ------
-    ModelError
-        If it cannot be read, or has something that is no toss.
+    Raises `ModelError` if it cannot be read, or has something that is no toss.
     """
     name = "cube_tosses.npz" if given is None else str(given)
     states = columns("cube_tosses.npz", {"state": 13}, given)["state"]
@@ -79,11 +76,7 @@ def first_row(toss: Toss) -> Array:
 def errors(toss: Toss, simulated: Array) -> tuple[Array, Array]:
     """Return the position error, in % of the side, and the rotation error, degrees, of each row that was simulated.
 
-    Parameters
-    ----------
-    toss : Toss
-    simulated : (rows or fewer, 7) array
-        Position of the centre and quaternion, at the instants of the toss, from the first on.
+    simulated: (rows or fewer, 7), position of the centre and quaternion, at the instants of the toss, from the first on
     """
     measured = toss.states[: len(simulated)]
     position: Array = np.linalg.norm(simulated[:, :3] - measured[:, 4:7], axis=1) * (100.0 / SIDE)

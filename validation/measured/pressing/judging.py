@@ -31,17 +31,9 @@ DETERMINED = 4.0
 def judge(given: Path | None = None, fitted: Path | None = None) -> Judged:
     """Fit the machine to tests of a file, or take a fit, and predict the other tests.
 
-    Parameters
-    ----------
-    given : Path
-        The measurements, see `touchdowns.read`.
-    fitted : Path, optional
-        A file of fitted numbers: used if it exists, else written.
-
-    Raises
-    ------
-    ModelError
-        If a file cannot be read, or nothing is there to fit or to predict.
+    given: the measurements, see `touchdowns.read`
+    fitted: a file of fitted numbers: used if it exists, else written
+    Raises `ModelError` if a file cannot be read, or nothing is there to fit or to predict.
     """
     if given is None:
         raise ModelError("pressing: its measurements are not part of the package (GPL-3): give them, --data FILE.npz")

@@ -28,21 +28,12 @@ BEFORE = (-0.03, -0.004)
 class Touchdown:
     """A test: what was commanded, and what was measured.
 
-    Attributes
-    ----------
-    name, place : str
-    force : float
-        Commanded, N.
-    gain, limit : float
-        Gain scaling and speed limit, m/s, of the force mode.
-    speed : float
-        With which it comes to the surface, measured, m/s.
-    rest : float
-        Time from the first contact to the end of what is compared, s.
-    time, measured : (N,) arrays
-        s, and the force at the sensor under the surface, N.
-    desired : (2, M) array, optional
-        s, and the size of the speed that the force mode asks for, m/s, as its controller logs it.
+    force: commanded, N
+    gain, limit: gain scaling and speed limit, m/s, of the force mode
+    speed: with which it comes to the surface, measured, m/s
+    rest: time from the first contact to the end of what is compared, s
+    time, measured: (N,), s, and the force at the sensor under the surface, N
+    desired: (2, M), s, and the size of the speed that the force mode asks for, m/s, as its controller logs it
     """
 
     name: str
@@ -60,10 +51,7 @@ class Touchdown:
 def read(path: Path) -> list[Touchdown]:
     """Return the tests of a file, by name.
 
-    Raises
-    ------
-    ModelError
-        If it cannot be read, or an array is missing or has another shape.
+    Raises `ModelError` if it cannot be read, or an array is missing or has another shape.
     """
     try:
         with np.load(path) as found:

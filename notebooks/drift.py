@@ -21,8 +21,7 @@ import matplotlib.pyplot as plt
 
 from closedloop.figures import STYLE
 from closedloop.mechanics.closure.baumgarte import recommended_ratio, spectral_radius
-from validation.studies.drift import measure, print_tables
-from validation.studies.drift_figures import power_laws, stability_map
+from validation.studies.drift import measure, power_laws, print_tables, stability_map
 
 plt.rcParams.update(STYLE)
 plt.rcParams["figure.dpi"] = 120

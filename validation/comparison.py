@@ -4,20 +4,80 @@ The reference computes each state once (`Truth`), every engine is asked for what
 quantity is kept with the state that gave it. What an engine does not cover, or an engine that is not installed, is a
 cell of its own and never counts as agreement. An engine's contact force counts only after its probe has shown that its
 constraint acts.
+
+The cells of a comparison: one quantity of one engine over all states, and all of one robot.
 """
 
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 import robot_models
-from validation.cells import Cell, Comparison
 from validation.engines import Engine, Missing, Refused, available, probe
 from validation.engines.interface import METHODS, CannotBuild, NotCovered
 from validation.oracle.spatial import Array
-from validation.states import State, draw_state
-from validation.truth import PROBED, QUANTITIES, Truth, evaluate, right_side, size_of, truths_of
+from validation.states import PROBED, QUANTITIES, State, Truth, draw_state, evaluate, right_side, size_of, truths_of
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One quantity of one engine over all states.
+
+    robot, quantity, engine: what was compared
+    status: "agrees", "disagrees", "not covered", "not installed" or "not usable"
+    reason: why, where there is no number
+    absolute, relative: worst errors; inf if a number is missing or not finite
+    tolerance: the bound at the state that comes closest to it
+    margin: worst error over its bound; at most 1 for "agrees"
+    state: the state that gave it
+    states: how many were compared
+    """
+
+    robot: str
+    quantity: str
+    engine: str
+    status: str
+    reason: str = ""
+    absolute: float = np.nan
+    relative: float = np.nan
+    tolerance: float = np.nan
+    margin: float = np.nan
+    state: int | None = None
+    states: int = 0
+
+
+@dataclass
+class Comparison:
+    """All cells of one robot.
+
+    robot, tip, reference: robot, tip and the engine that the others are compared with
+    seed, states: what was drawn
+    cells: by engine, then quantity
+    probes: engine -> what its probe found
+    """
+
+    robot: str
+    tip: str
+    reference: str
+    seed: int
+    states: int
+    cells: list[Cell] = field(default_factory=list)
+    probes: dict[str, str] = field(default_factory=dict)
+
+    @property
+    def passed(self) -> bool:
+        """Whether something was compared and nothing is out of tolerance."""
+        compared = [cell for cell in self.cells if cell.status in ("agrees", "disagrees")]
+        return bool(compared) and all(cell.status == "agrees" for cell in compared)
+
+    @property
+    def worst(self) -> Cell | None:
+        """The cell that uses the largest part of its tolerance; None if nothing was compared."""
+        compared = [cell for cell in self.cells if cell.status in ("agrees", "disagrees")]
+        return max(compared, key=lambda cell: cell.margin, default=None)
+
 
 # Fifty digits take 20 ms a state, a multibody system's start-up 4 ms, Newton-Euler passes in Python 10 to 100 ms: such
 # an engine is asked at the first so many states only, and the report says at how many.

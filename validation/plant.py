@@ -15,14 +15,11 @@ import numpy as np
 
 import robot_models
 from robot_models.coordinates import balls
-from validation.cells import Comparison
-from validation.comparison import compare, tip_of
+from validation.comparison import Comparison, compare, tip_of
 from validation.engines import ENGINES, Engine, available
-from validation.engines.compiled import Compiled
 from validation.engines.hand_written import HandWritten
-from validation.engines.loop import ClosedLoop
-from validation.plant_faults import FAULTS, Fault
-from validation.plant_tree import TREE_FAULTS
+from validation.engines.loop import ClosedLoop, Compiled
+from validation.plant_faults import FAULTS, TREE_FAULTS, Fault
 
 # Enough that some state shows every fault; the smallest margin found is far above one.
 STATES = 10

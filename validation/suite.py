@@ -9,23 +9,19 @@ from typing import Any
 import numpy as np
 
 import robot_models
-from validation.cells import Cell, Comparison
-from validation.comparison import build_all, compare, missing_cells, tip_of
+from validation.comparison import Cell, Comparison, build_all, compare, missing_cells, tip_of
 from validation.engines import ENGINES, Engine, Missing, available
-from validation.engines.compiled import Compiled
-from validation.engines.loop import ClosedLoop
+from validation.engines.loop import ClosedLoop, Compiled
 from validation.engines.symbolic import Symbolic
-from validation.identities import Sample, check_all, draw_sample, unanswered
+from validation.identities import Residual, Sample, check_all, draw_sample, unanswered
+from validation.loops.andrews import compare_with_published
 from validation.loops.compare import compare_on_loops
-from validation.loops.published import compare_with_published
 from validation.oracle import Oracle
 from validation.plant import Catch
 from validation.random_trees import random_robot, random_state
-from validation.report import Report
-from validation.report_tables import Check, Section
-from validation.residual import Residual
+from validation.report import Check, Report, Section
 from validation.states import draw_states
-from validation.surfaces.compare import compare_on_surfaces
+from validation.surfaces.answers import compare_on_surfaces
 from validation.surfaces.mujoco import soft_contact_section
 
 # Name in the report -> how to load it. wam4 stands twice: its drives carry half of its inertia.

@@ -38,8 +38,7 @@ def urdf(robot, path):
     """Return what differs from yourdfpy's reading, and from the oracle's dynamics."""
     from validation.oracle.dynamics import bias, mass_matrix
     from validation.oracle.engine import Oracle
-    from validation.oracle.tree import build_tree
-    from validation.oracle.urdf import parse_urdf
+    from validation.oracle.tree import build_tree, parse_urdf
 
     text = path.read_bytes().decode("utf-8-sig")
     links, joints = parse_urdf(text)

@@ -118,7 +118,7 @@ def test_every_file_names_its_source(file):
 
 
 def test_every_file_is_used():
-    """By the problem that has its source, or by the mechanisms with loops, see `validation.loops.published`."""
+    """By the problem that has its source, or by the mechanisms with loops, see `validation.loops.andrews`."""
     mechanisms = {"andrews.json", "n_four_bar.json"}
     assert set(JSON) > mechanisms
     sources = {read(file.removesuffix(".json"))["source"] for file in set(JSON) - mechanisms}

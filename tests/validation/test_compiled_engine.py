@@ -8,9 +8,9 @@ import robot_models
 from closedloop.mechanics.robot.tree import tree_of
 from closedloop.simulation.engines.scenario_numbers import needs_general_form
 from validation.engines import CannotBuild, available
-from validation.engines.compiled import Compiled
 from validation.engines.compiled_runs import compare_runs, faulty_tree, record, shipped, twin
-from validation.plant_tree import TREE_FAULTS
+from validation.engines.loop import Compiled
+from validation.plant_faults import TREE_FAULTS
 
 # Free, pressed and let go; an impact; a slide: one of each, in a second or less.
 SHORT = [
@@ -74,7 +74,7 @@ def test_row_of_a_state_is_the_loops_own(monkeypatch):
     def nothing(*arguments):
         raise RuntimeError("asked")
 
-    monkeypatch.setattr("validation.engines.compiled.run_compiled", nothing)
+    monkeypatch.setattr("validation.engines.loop.run_compiled", nothing)
     with pytest.raises(RuntimeError, match="asked"):
         engine.constrained(x, x, x, np.array([0.0, 0.0, 1.0]), 0.5)
 
@@ -85,7 +85,7 @@ def test_joint_that_the_engine_does_not_cover_is_a_line(monkeypatch):
     def refuse(model, tip):
         raise robot_models.ModelError("joint 'wrist' is of Pinocchio's kind Spherical")
 
-    monkeypatch.setattr("validation.engines.compiled.tree_of", refuse)
+    monkeypatch.setattr("validation.engines.loop.tree_of", refuse)
     (made,) = available(robot_models.load("wam4"), "tip", [Compiled])
     assert "wrist" in str(made)
     with pytest.raises(CannotBuild, match="Spherical"):

@@ -7,10 +7,9 @@ import pytest
 
 import robot_models
 from validation.comparison import compare
-from validation.engines.compiled import Compiled
 from validation.engines.drake import Drake
 from validation.engines.interface import Refused
-from validation.engines.loop import ClosedLoop
+from validation.engines.loop import ClosedLoop, Compiled
 from validation.engines.mujoco import MuJoCo
 from validation.engines.pinocchio_cpp import PinocchioCpp
 from validation.engines.registry import available

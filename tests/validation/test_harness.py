@@ -18,9 +18,8 @@ from validation.plant import plant_all
 from validation.plant_faults import FAULTS, TURNING_FAULTS, Fault
 from validation.report import Report
 from validation.run import main
-from validation.states import draw_state
+from validation.states import QUANTITIES, draw_state
 from validation.suite import check_identities, compare_random_trees, faults_section, load_robot
-from validation.truth import QUANTITIES
 
 
 @pytest.fixture(scope="module")

@@ -6,10 +6,9 @@ from budget import seeds
 from pinocchio_reference import PinocchioEngine
 
 import robot_models
-from validation.identities import IDENTITIES, check_all, draw_sample, unanswered
+from validation.identities import IDENTITIES, Residual, check_all, draw_sample, unanswered
 from validation.oracle import Oracle
 from validation.random_trees import random_robot, random_state
-from validation.residual import Residual
 
 FLAW = 1e-6  # relative; far below what a plot would show, four decades above the loosest tolerance
 

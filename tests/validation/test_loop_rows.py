@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from validation.loops.answers import LoopFault
-from validation.loops.cases import TOUCHES, draw_case, oracle_of
+from validation.loops.cases import TOUCHES, LoopFault, draw_case, oracle_of
 from validation.loops.compare import LOOPS, compare_on_loops
 from validation.loops.faults import FAULTS, Fault, plant_on_loops
 from validation.loops.mechanisms import MECHANISMS

@@ -11,8 +11,7 @@ from closedloop.base.errors import ModelError
 from closedloop.studies.identify.identify import Estimate
 from validation.measured import kr300, tx40, ur10
 from validation.measured.__main__ import main
-from validation.measured.data_file import DATA
-from validation.measured.judged import possible
+from validation.measured.judged import DATA, possible
 
 
 def test_friction_of_a_tx40_is_the_published_one(tmp_path, capsys):

@@ -14,14 +14,24 @@ from closedloop.lab.drawn import robot_message
 from validation.measured.__main__ import main
 from validation.measured.cubes import film
 from validation.measured.cubes.__main__ import main as command
-from validation.measured.cubes.comparing import Tried, against, engines, fits, held_out, impacts_before, interval
+from validation.measured.cubes.comparing import (
+    BUDGET,
+    TOSSES,
+    Tried,
+    against,
+    engines,
+    fit,
+    fits,
+    held_out,
+    impacts_before,
+    interval,
+    training,
+)
 from validation.measured.cubes.engine import CubeEngine, Parameter
-from validation.measured.cubes.fitting import BUDGET, TOSSES, fit, training
-from validation.measured.cubes.flight import fitted_start, flight
-from validation.measured.cubes.geometry import geometry
+from validation.measured.cubes.flight import fitted_start, flight, geometry
 from validation.measured.cubes.impacts import corner_impacts
 from validation.measured.cubes.tosses import FALL, RATE, SIDE, Toss, errors, first_row, mean_errors, read
-from validation.measured.data_file import DATA
+from validation.measured.judged import DATA
 
 
 @pytest.fixture(scope="module")

@@ -9,15 +9,21 @@ import pytest
 import closedloop as cl
 from closedloop.base.errors import ModelError
 from validation.measured.__main__ import main
-from validation.measured.judged import Judged
-from validation.measured.paired import BETTER, EQUAL, WORSE, paired
+from validation.measured.judged import BETTER, EQUAL, WORSE, Judged, paired
 from validation.measured.pressing.__main__ import main as draw
 from validation.measured.pressing.fitting import Fit, force_mode, intervals, measured_figures, residuals
 from validation.measured.pressing.judging import GOALS, compare, fits_of, judge, repeats, sizes_of_differences
-from validation.measured.pressing.machine import CONTACT, MACHINE, SIZES, ClosedLoopArm, contact_time, pose, scenario
-from validation.measured.pressing.measures import BAND, Figures, figures
-from validation.measured.pressing.mujoco import MuJoCoArm
-from validation.measured.pressing.touchdowns import Touchdown, read
+from validation.measured.pressing.machine import (
+    CONTACT,
+    MACHINE,
+    SIZES,
+    ClosedLoopArm,
+    MuJoCoArm,
+    contact_time,
+    pose,
+    scenario,
+)
+from validation.measured.pressing.touchdowns import BAND, Figures, Touchdown, figures, read
 
 VALUES = {p.name: p.first for p in (*MACHINE, *CONTACT)}
 NAMES = ("straight_F55_g1_v0.25", "straight_F35_g0.5_v0.10")

@@ -113,7 +113,7 @@ def test_semi_implicit_loops_refuse_other_schemes(name):
     of = problem({"time.duration": 0.01, "time.integrator": "rk4"})
     if name == "mujoco":
         pytest.importorskip("mujoco", reason=INSTALL["mujoco"])
-        from validation.engines.mujoco_slide import slide_mujoco
+        from validation.engines.mujoco import slide_mujoco
 
         with pytest.raises(ValueError, match="semi-implicit"):
             slide_mujoco(of, 0.99)
@@ -125,7 +125,7 @@ def test_semi_implicit_loops_refuse_other_schemes(name):
 def test_mujoco_says_when_the_tip_leaves_the_plane():
     """A push away from the surface is not answered by a contact that pulls: the run stops and says so."""
     pytest.importorskip("mujoco", reason=INSTALL["mujoco"])
-    from validation.engines.mujoco_slide import slide_mujoco
+    from validation.engines.mujoco import slide_mujoco
 
     with pytest.raises(RuntimeError, match="left the plane"):
         slide_mujoco(problem({"time.duration": 0.2, "law.force": -10.0}), 0.9999)

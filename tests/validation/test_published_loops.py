@@ -5,8 +5,15 @@ import pytest
 
 from validation.anchors.description import read
 from validation.loops import andrews
-from validation.loops.four_bars import falling, lean, lean_of_a_pendulum
-from validation.loops.published import ANDREWS_START, apart, bricard_of_rods, compare_with_published
+from validation.loops.andrews import (
+    ANDREWS_START,
+    apart,
+    bricard_of_rods,
+    compare_with_published,
+    falling,
+    lean,
+    lean_of_a_pendulum,
+)
 
 
 def test_the_squeezer_starts_as_printed():

@@ -5,7 +5,7 @@ import pytest
 
 import robot_models
 from validation.oracle import Law, Oracle, simulate_slide
-from validation.oracle.slide import Closure
+from validation.oracle.engine import Closure
 
 N, STEP = np.array([0.0, 0.0, 1.0]), 0.001
 START = np.array([np.pi / 2, 1.0, 0.0, 2.0])

@@ -18,11 +18,10 @@ from validation.speed.bodies import of_bodies
 from validation.speed.contestants import Contestant, converged, final, our_engine, with_errors
 from validation.speed.feet import BOXES, STANDS, on_feet
 from validation.speed.loops import GIVES_WAY, MECHANISMS, coasting, racing
-from validation.speed.measure import Timing, race, ratio
+from validation.speed.measure import Timing, growth, race, ratio, targets
 from validation.speed.robots import ROBOTS, of_robot
 from validation.speed.scenes import WALL, bodies_of, of_scene
 from validation.speed.served import main as main_served
-from validation.speed.targets import growth, targets
 
 STEPS = 60
 

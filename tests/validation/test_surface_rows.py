@@ -6,10 +6,8 @@ import pytest
 import robot_models
 from validation.report import Report
 from validation.suite import faults_section
-from validation.surfaces.answers import ask_loop, ask_oracle
-from validation.surfaces.cases import MATERIALS, SHAPES, SMOOTH, displacement_of
-from validation.surfaces.compare import LOOPS, compare_on_surfaces, errors
-from validation.surfaces.draw import draw_case
+from validation.surfaces.answers import LOOPS, ask_loop, ask_oracle, compare_on_surfaces, errors
+from validation.surfaces.cases import MATERIALS, SHAPES, SMOOTH, displacement_of, draw_case
 from validation.surfaces.faults import FAULTS, SurfaceFault, plant_on_surfaces
 from validation.surfaces.mujoco import STIFFNESSES, soft_contact_section
 

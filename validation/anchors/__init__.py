@@ -12,8 +12,7 @@ one. Read `problem` first, then `quantities`, which says how an engine is asked.
 from functools import lru_cache
 
 from validation.anchors.asked import Asked, EngineFactory
-from validation.anchors.grading import grade, grade_all
-from validation.anchors.problem import Case, Grade, ReferenceProblem
+from validation.anchors.problem import Case, Grade, ReferenceProblem, grade, grade_all
 from validation.anchors.quantities import QUANTITIES
 
 __all__ = [
@@ -32,7 +31,6 @@ __all__ = [
 @lru_cache(maxsize=1)
 def reference_problems() -> tuple[ReferenceProblem, ...]:
     """Return all reference problems, those with printed values first."""
-    from validation.anchors import chains, iiwa, pendulum, planar_arm, point_mass, puma560, rod
+    from validation.anchors import closed_forms, iiwa, puma560
 
-    families = (puma560, iiwa, chains, pendulum, planar_arm, point_mass, rod)
-    return tuple(problem for family in families for problem in family.problems())
+    return (*puma560.problems(), *iiwa.problems(), *closed_forms.problems())

@@ -14,7 +14,7 @@ import numpy as np
 
 from validation.oracle.closure import impulse, solve_bordered
 from validation.oracle.spatial import Array
-from validation.oracle.urdf import RobotModel
+from validation.oracle.tree import RobotModel
 
 EngineFactory = Callable[[Any, str], object]
 """(robot, name of its tip) → an engine."""

@@ -7,8 +7,17 @@
 Read `interface` first. A new engine is a subclass of `Engine` in a file of its own and a line in `registry.ENGINES`.
 """
 
-from validation.engines.interface import METHODS, CannotBuild, Engine, Missing, NotCovered, Refused, installed
-from validation.engines.probe import ProbeResult, probe
+from validation.engines.interface import (
+    METHODS,
+    CannotBuild,
+    Engine,
+    Missing,
+    NotCovered,
+    ProbeResult,
+    Refused,
+    installed,
+    probe,
+)
 from validation.engines.registry import ENGINES, available
 
 __all__ = [

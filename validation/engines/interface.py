@@ -4,6 +4,13 @@ An engine is made from a robot and the name of its tip. All arrays are in the co
 `robot.joint_names`, SI units, base axes; f is the force of the surface *on the robot*, positive along +n [N].
 What an engine cannot do it says, method by method and with the reason: `covers` and `cannot` together list
 every method of `METHODS`, so nothing can be left out in silence.
+
+A description without everything that engines read differently and that is no part of the mechanism.
+
+Proof that an engine's constraint acts, before any of its numbers counts.
+
+Engines accept constraints that they then ignore: Drake on a continuous plant, MuJoCo with the row disabled,
+Exudyn where its start-up gave up. A probe asks two questions whose answers are known beforehand.
 """
 
 from collections.abc import Mapping
@@ -11,12 +18,13 @@ from dataclasses import dataclass
 from importlib.util import find_spec
 from types import MappingProxyType
 from typing import ClassVar, NoReturn
+from xml.etree import ElementTree
 
 import numpy as np
 
 from robot_models.coordinates import PLACES, RATES, balls
 from validation.oracle.spatial import Array
-from validation.oracle.urdf import RobotModel
+from validation.oracle.tree import RobotModel
 from validation.tolerances import Tolerance
 
 METHODS = (
@@ -210,3 +218,146 @@ def refuse_balls(robot: Robot, engine: str) -> None:
     """
     if names := _ball_names(robot):
         raise CannotBuild(f"joint {names[0]!r} turns freely: {engine} is given joints of one variable here")
+
+
+_LEFT_OUT = {
+    "link": ("visual", "collision"),  # meshes may be absent; MuJoCo and Drake would look for them
+    "joint": ("dynamics", "mimic", "safety_controller", "calibration"),  # damping, friction, ties: not in Eq. 8
+}
+_KEPT = ("link", "joint")
+
+
+def bare_urdf(text: str) -> str:
+    """Return the links with their inertias and the joints with their placements, and nothing else.
+
+    ``mimic`` goes because a joint that has a column moves on its own, ``dynamics`` because drive friction is
+    no part of H and C: MuJoCo and Drake would both put it into q̈.
+    """
+    root = ElementTree.fromstring(text.encode())
+    if root.tag != "robot":
+        raise CannotBuild(f"the description is a <{root.tag}>, not a URDF <robot>")
+    for element in list(root):
+        if element.tag not in _KEPT:
+            root.remove(element)
+            continue
+        for child in list(element):
+            if child.tag in _LEFT_OUT[element.tag]:
+                element.remove(child)
+    return ElementTree.tostring(root, encoding="unicode")
+
+
+def bare_mjcf(text: str) -> tuple[str, dict[str, tuple[str, Array]]]:
+    """Return the bodies and what their inertias follow from, and each site's body and place in it (3,) [m]."""
+    root, sites = ElementTree.fromstring(text.encode()), {}
+    for element in list(root):
+        if element.tag not in ("compiler", "default", "asset", "worldbody"):
+            root.remove(element)
+    for compiler in root.iter("compiler"):  # Drake asks for an inertia of each body; MuJoCo and we know frames
+        compiler.attrib.pop("inertiafromgeom", None)
+    for joint in root.iter("joint"):
+        for key in ("damping", "frictionloss", "stiffness"):  # no part of H and C
+            joint.attrib.pop(key, None)
+    for body in root.iter("body"):
+        for site in body.findall("site"):
+            place = np.array([float(value) for value in site.get("pos", "0 0 0").split()])
+            sites[site.get("name", "")] = (body.get("name", ""), place)
+            body.remove(site)
+        for geom in body.findall("geom") if body.find("inertial") is not None else []:
+            body.remove(geom)
+    root.set("model", root.get("model", "robot"))  # Drake asks for a name
+    return ElementTree.tostring(root, encoding="unicode"), sites
+
+
+def root_link(text: str) -> str:
+    """Return the link that is no joint's child."""
+    root = ElementTree.fromstring(text.encode())
+    children = {child.get("link") for child in root.iterfind("joint/child")}
+    (name,) = [link.get("name", "") for link in root.iterfind("link") if link.get("name") not in children]
+    return name
+
+
+def masses(text: str) -> dict[str, float]:
+    """Return the mass of each link as the text gives it [kg]."""
+    root = ElementTree.fromstring(text.encode())
+    out = {}
+    for link in root.iterfind("link"):
+        mass = link.find("inertial/mass")
+        out[link.get("name", "")] = 0.0 if mass is None else float(mass.get("value", "nan"))
+    return out
+
+
+PUSH = 50.0
+"""The force with which the arm is pressed against the surface [N]."""
+
+TOLERANCE = 1e-8
+"""Relative error at which the probe's answers count as right. A constraint that is off is wrong by 1, one that is
+soft by its softness (1e-4 at MuJoCo's hardest); rounding times a mass matrix of condition 1e6 stays below."""
+
+
+@dataclass(frozen=True)
+class ProbeResult:
+    """What the probe found; relative errors, infinite where the engine gave no number.
+
+    force : of f, where PUSH is right
+    closure : of A q̈ = b, against |b| and what the free arm would do
+    motion : of H q̈ + C = Q + Aᵀ f, against its largest part
+    escape : how far from b the *free* arm's A q̈ is, on the scale of `closure`: what a constraint that is off shows
+    """
+
+    engine: str
+    force: float
+    closure: float
+    motion: float
+    escape: float
+
+    @property
+    def passed(self) -> bool:
+        """Tell whether the constraint acts, and whether the probe could have seen it if it did not."""
+        right = max(self.force, self.closure, self.motion) <= TOLERANCE
+        return bool(right and self.escape > 1e3 * TOLERANCE)
+
+    def __str__(self) -> str:
+        verdict = "acts" if self.passed else "DOES NOT ACT"
+        return (
+            f"{self.engine}: the constraint {verdict} (errors: f {self.force:.1e}, closure {self.closure:.1e}, "
+            f"motion {self.motion:.1e}; the free arm would miss the closure by {self.escape:.1e})"
+        )
+
+
+def probe(engine: Engine, *, seed: int = 0) -> ProbeResult:
+    """Press the arm against a surface, at rest and then in motion, and look whether the surface answers.
+
+    First Q = C − Aᵀ·PUSH and b = 0: the answer is q̈ = 0 and f = PUSH, whatever the robot. Then the same push
+    on top of a random torque, in motion and with b ≠ 0: the answer must satisfy both rows of Eq. 24. The normal
+    is the direction in which the tip moves most easily, so the pose cannot be singular for it.
+
+    engine: one that covers `constrained`
+    """
+    rng = np.random.default_rng(seed)
+    q, v, torque, b = rng.uniform(-1, 1, engine.n), rng.normal(size=engine.n), rng.normal(size=engine.n), rng.normal()
+    J = engine.jacobian(q)
+    normal: Array = np.linalg.svd(J)[0][:, 0]
+    A = normal @ J
+    still = np.zeros(engine.n)
+    _, f = engine.constrained(q, still, engine.gravity_term(q) - A * PUSH, normal, 0.0)
+    force = _number(abs(f - PUSH) / PUSH)
+
+    Q = torque + engine.bias(q, v) - A * PUSH
+    a, f = engine.constrained(q, v, Q, normal, float(b))
+    free = engine.free_acceleration(q, v, Q)
+    size = abs(float(b)) + float(np.abs(A) @ np.abs(free))
+    H = engine.mass_matrix(q)
+    parts = [H @ a, engine.bias(q, v) - Q, -A * f]
+    motion = np.abs(sum(parts)).max() / max(np.abs(part).max() for part in parts)
+    return ProbeResult(
+        engine=engine.name,
+        force=force,
+        closure=_number(abs(float(A @ a) - float(b)) / size),
+        motion=_number(float(motion)),
+        escape=_number(abs(float(A @ free) - float(b)) / size),
+    )
+
+
+def _number(x: float) -> float:
+    """Return x, or infinity for what is no number, so that a missing answer cannot pass."""
+    return float(x) if np.isfinite(x) else float("inf")

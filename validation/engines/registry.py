@@ -2,12 +2,11 @@
 
 from collections.abc import Sequence
 
-from validation.engines.compiled import Compiled
 from validation.engines.drake import Drake
 from validation.engines.exudyn import Exudyn
 from validation.engines.hand_written import HandWritten
 from validation.engines.interface import CannotBuild, Engine, Missing, Refused, Robot, installed, refuse_balls
-from validation.engines.loop import ClosedLoop
+from validation.engines.loop import ClosedLoop, Compiled
 from validation.engines.mujoco import MuJoCo
 from validation.engines.pinocchio_cpp import PinocchioCpp
 from validation.engines.robotics_toolbox import RoboticsToolbox

@@ -9,8 +9,7 @@ import numpy as np
 
 from validation.engines.interface import CannotBuild, Engine, Robot
 from validation.oracle.spatial import Array
-from validation.oracle.tree import GROUND, Tree, UnsupportedModel
-from validation.oracle.urdf import read_urdf
+from validation.oracle.tree import GROUND, Tree, UnsupportedModel, read_urdf
 
 _NO_CLOSURE = "the toolbox simulates the open tree; it has no closure equation"
 

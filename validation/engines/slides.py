@@ -11,13 +11,10 @@ from typing import Any
 import numpy as np
 
 from closedloop.simulation.engines.problem import Problem
-from validation.engines.drake import Drake
-from validation.engines.drake_slide import slide_drake
-from validation.engines.exudyn import Exudyn
-from validation.engines.exudyn_slide import slide_exudyn
+from validation.engines.drake import Drake, slide_drake
+from validation.engines.exudyn import Exudyn, slide_exudyn
 from validation.engines.interface import Engine, Missing, installed
-from validation.engines.mujoco import MuJoCo
-from validation.engines.mujoco_slide import IMPEDANCES, slide_mujoco
+from validation.engines.mujoco import IMPEDANCES, MuJoCo, slide_mujoco
 from validation.engines.trajectories import SHORT, Trajectory, at_zero, problem, slide_closedloop, slide_oracle
 from validation.oracle.spatial import Array
 from validation.tolerances import EPS, Tolerance

@@ -12,7 +12,7 @@ from closedloop import Problem
 from closedloop.scenario.scenario import BothSection, ProjectionSection
 from closedloop.simulation.simulate import simulate
 from validation.oracle import Law, Oracle, simulate_slide
-from validation.oracle.slide import Closure
+from validation.oracle.engine import Closure
 from validation.oracle.spatial import Array
 
 SCENARIO = "wam_slide"

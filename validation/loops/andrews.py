@@ -2,6 +2,13 @@
 
 K1 turns about the origin, driven by a constant torque, and carries K2; K3, K4 on K5 and K6 on K7 turn about two fixed
 points, and all meet K2's end: three loops. A spring draws K3. It is fast: β turns by 16 rad in 0.03 s.
+
+The row of four-bars of the IFToMM library (A02): N windows of bars of one length, all one parallelogram.
+
+It lies flat twice a turn. There N rows are lost at once, each window could go on in two ways, and the velocity says in
+which they go on. As one parallelogram it has one coordinate, the angle of its uprights, whose equation is a pendulum's.
+
+Published benchmarks of multibody dynamics that have loops, held against their printed values.
 """
 
 from dataclasses import dataclass
@@ -13,10 +20,12 @@ from scipy.integrate import solve_ivp
 
 import closedloop as cl
 import robot_models
+from closedloop.record.run import Run
 from robot_models import RobotModel
 from validation.anchors.description import read
 from validation.loops.mechanisms import joint, loop, point
 from validation.oracle.spatial import Array
+from validation.report import Check, Section
 
 NAMES = ("beta", "theta", "gamma", "phi", "delta", "omega", "epsilon")
 """The order of the test set."""
@@ -211,3 +220,194 @@ def _rows(d: dict[str, Any], q: Array) -> Array:
     G[4:6, 5] = d["zf"] * np.sin(omega + epsilon), -d["zf"] * np.cos(omega + epsilon)
     G[4:6, 6] = G[4, 5] - d["u"] * np.cos(epsilon), G[5, 5] - d["u"] * np.sin(epsilon)
     return G
+
+
+def windows(count: int) -> RobotModel:
+    """Return a row of so many windows, upright: D0 ... are the joints of the uprights, C0 ... of the bars on top."""
+    data = read("n_four_bar")
+    length, mass = data["length"], data["mass"]
+    moment = mass * length**2 / 12.0
+    body, loops = "", []
+    for k in range(count + 1):
+        names = ("d", "c") if k < count else ("d",)
+        for kind in names:
+            body += (
+                f'<link name="{kind}{k}"><inertial><origin xyz="{length / 2} 0 0"/><mass value="{mass}"/>'
+                f'<inertia ixx="{moment!r}" iyy="{moment!r}" izz="{moment!r}" ixy="0" ixz="0" iyz="0"/>'
+                "</inertial></link>"
+            )
+        body += joint(f"D{k}", "base", f"d{k}", f"{k * length} 0 0")
+        if k < count:
+            body += joint(f"C{k}", f"d{k}", f"c{k}", f"{length} 0 0")
+            ends = [[length, 0.0, 0.0]] * 2
+            loops.append(loop(f"B{k + 1}", "point", [f"c{k}", f"d{k + 1}"], points=ends))
+    text = f'<robot name="windows"><link name="base"/>{body}</robot>'
+    n = 2 * count + 1
+
+    def built(home: Array) -> RobotModel:
+        return robot_models.from_text(
+            text, "urdf", name="windows", armature=np.zeros(n), tip="d0", home=home, locked={}, loops=loops
+        )
+
+    return built(np.array([np.pi / 2 * side for side in _sides(built(np.zeros(n)))]))
+
+
+def _sides(model: RobotModel) -> list[float]:
+    """Return 1 for the joint of an upright, and −1 for that of a bar, which turns back as much."""
+    return [1.0 if name.startswith("D") else -1.0 for name in model.joint_names]
+
+
+def falling(count: int, duration: float, step: float, engine: str = "pinocchio") -> Run:
+    """Return the run of so many windows that fall as the benchmark's do, by rk4."""
+    model, data = windows(count), read("n_four_bar")
+    speed = data["speed"] / data["length"]
+    start = [-speed * side for side in _sides(model)]
+    scenario = coasting(model, list(model.home), start, duration, step)
+
+    def no_torque(t: float, q: Array, v: Array, terms: object) -> Array:
+        return np.zeros(model.n)
+
+    return cl.simulate(scenario, model=model, law=no_torque, engine=engine)
+
+
+def lean(run: Run) -> Array:
+    """Return by how much each upright (N, count + 1) leans from the vertical, rad."""
+    at = [j for j, name in enumerate(run.model.joint_names) if name.startswith("D")]
+    return np.pi / 2 - np.asarray(run.q)[:, at]
+
+
+def lean_of_a_pendulum(count: int, times: Array) -> Array:
+    """Return the same (N,) by the equation of its one coordinate, with scipy's DOP853."""
+    data = read("n_four_bar")
+    inertia = (count + 1) * data["length"] / 3.0 + count * data["length"]
+    weight = data["gravity"] * ((count + 1) / 2.0 + count)
+
+    def rates(t: float, y: Array) -> Array:
+        return np.array([y[1], weight / inertia * np.sin(y[0])])
+
+    start = (0.0, data["speed"] / data["length"])
+    found = solve_ivp(rates, (0.0, times[-1]), start, method="DOP853", rtol=1e-13, atol=1e-14, t_eval=times)
+    return np.asarray(found.y[0])
+
+
+LOOP = "closedloop"
+ANDREWS_STEP = 5e-6
+"""s: rk4 leaves 1e-11 of the velocities, as half and double this step show."""
+ANDREWS_START = {"acceleration": 1e-12, "forces": 1e-12}
+ANDREWS_PRINTED = {"position": 2e-10, "velocity": 1e-9, "acceleration": 2e-7, "forces": 2e-7}
+"""Relative to the largest of each. What is printed is the motion 1.0e-12 s later, to all its digits: the error of its
+own integration, at tolerances of 1e-14; the test set's equations end where ours do."""
+ANDREWS_EQUATIONS = {"position": 5e-12, "velocity": 5e-11, "acceleration": 5e-10, "forces": 5e-10}
+FALLING_STEP = 0.005
+FALLING_PRINTED = 1e-6
+"""m: six digits are printed, and ADAMS errs by less than one of the last."""
+FALLING_EQUATION = 2e-8
+"""rad: rk4 over two seconds at this step."""
+ENERGY = 1e-8
+CLOSED = 1e-12
+
+
+def compare_with_published(quick: bool) -> Section:
+    """Compare runs of published mechanisms with what is printed of them, and with their own equations.
+
+    quick: leaves out what takes more than a few seconds: the forty windows, and energy over a minute
+    """
+    section = Section("published mechanisms with loops: values as printed")
+    section.checks += _andrews()
+    section.checks += _windows(2)
+    if not quick:
+        section.checks += _windows(read("n_four_bar")["windows"])
+        section.checks += _for_long("IFToMM A02, two windows", falling(2, 60.0, FALLING_STEP))
+        section.checks += _for_long("IFToMM A04, Bricard", bricard_of_rods(10.0, 0.002))
+    return section
+
+
+def _andrews() -> list[Check]:
+    data = read("andrews")
+    (start, end), (start_printed, end_printed) = squeezed(ANDREWS_STEP, data["time"]), printed()
+    cases = (
+        ("at the start", start, start_printed, ANDREWS_START, data["source"]),
+        ("as printed", end, end_printed, ANDREWS_PRINTED, data["source"]),
+        ("by the test set's equations", end, by_its_equations(), ANDREWS_EQUATIONS, "rk4 beside scipy's DOP853"),
+    )
+    checks = []
+    for what, found, truth, bounds, note in cases:
+        for name, bound in bounds.items():
+            error = apart(getattr(found, name), getattr(truth, name))
+            checks.append(Check(f"Andrews' squeezer, {name} {what}", LOOP, error, bound, error <= bound, note))
+    return checks
+
+
+def apart(found: Array, truth: Array) -> float:
+    """Return the worst error, relative to the largest entry of the truth."""
+    return float(np.max(np.abs(found - truth)) / np.max(np.abs(truth)))
+
+
+def _windows(count: int) -> list[Check]:
+    data = read("n_four_bar")
+    rows = np.array(data["positions"])
+    run = falling(count, float(rows[-1, 0]), FALLING_STEP)
+    leans, times = lean(run), np.asarray(run.time)
+    title = f"IFToMM A02, {count} windows"
+    error = float(np.max(np.abs(leans - lean_of_a_pendulum(count, times)[:, None])))
+    why = "two passes flat; the equation of its one coordinate, by scipy's DOP853"
+    checks = [Check(f"{title}, angle of each upright", LOOP, error, FALLING_EQUATION, error <= FALLING_EQUATION, why)]
+    if count != data["windows"]:
+        return checks
+    at = np.searchsorted(times, rows[:, 0] - 1e-9)
+    where = data["length"] * np.stack([np.sin(leans[at, 0]), np.cos(leans[at, 0])], axis=1)
+    error = float(np.max(np.abs(where - rows[:, 1:])))
+    passed = error <= FALLING_PRINTED
+    return [*checks, Check(f"{title}, B0 as printed", LOOP, error, FALLING_PRINTED, passed, data["source"])]
+
+
+def _for_long(title: str, run: Run) -> list[Check]:
+    """Check energy and closure of a run in which nothing is driven."""
+    kinetic = np.asarray(run.kinetic_energy)
+    energy = kinetic + np.asarray(run.potential_energy)
+    drift = float(np.max(np.abs(energy - energy[0])) / np.max(kinetic))
+    assert run.loops is not None
+    open_by = float(np.max(np.abs(run.loops.errors)))
+    why = f"over {run.time[-1]:g} s, of the largest kinetic energy; no values of this motion were found"
+    return [
+        Check(f"{title}, energy", LOOP, drift, ENERGY, drift <= ENERGY, why),
+        Check(f"{title}, closure, m", LOOP, open_by, CLOSED, open_by <= CLOSED, f"over {run.time[-1]:g} s"),
+    ]
+
+
+def bricard_of_rods(duration: float, step: float) -> Run:
+    """Return Bricard's mechanism of the IFToMM library (A04) as it falls: five rods along edges of a cube of 1 m.
+
+    Six hinges at right angles, where counting leaves no freedom. Its y, up, is z here.
+    """
+    ends = np.array([[0, 0, 0], [1, 0, 0], [1, 0, -1], [1, -1, -1], [0, -1, -1], [0, -1, 0]], dtype=float)
+    axes = ("0 0 1", "0 -1 0", "1 0 0", "0 0 1", "0 -1 0")
+    body = ""
+    for k in range(5):
+        along = ends[k + 1] - ends[k]
+        before = ends[k] - ends[max(k - 1, 0)]
+        body += _rod(f"rod{k}", along)
+        body += joint(f"J{k}", f"rod{k - 1}" if k else "base", f"rod{k}", " ".join(map(str, before)), axes[k])
+    points = [list(ends[5] - ends[4]), list(ends[5])]
+    loops = [loop("last", "hinge", ["rod4", "world"], points=points, axis=[1, 0, 0])]
+    text = f'<robot name="bricard_of_rods"><link name="base"/>{body}</robot>'
+    model: RobotModel = robot_models.from_text(
+        text, "urdf", name="bricard_of_rods", armature=np.zeros(5), tip="rod2", home=np.zeros(5), locked={}, loops=loops
+    )
+
+    def no_torque(t: float, q: Array, v: Array, terms: object) -> Array:
+        return np.zeros(model.n)
+
+    return cl.simulate(coasting(model, [0.0] * 5, [0.0] * 5, duration, step), model=model, law=no_torque)
+
+
+def _rod(name: str, along: Array) -> str:
+    """Return a rod of 1 kg with a square section of 0.1 m, from its origin along an edge (3,), m."""
+    side = 0.1
+    thin, long = side**2 / 6.0, (float(along @ along) + side**2) / 12.0
+    moments = [thin if a else long for a in along]
+    xyz, (x, y, z) = " ".join(map(str, along / 2.0)), moments
+    return (
+        f'<link name="{name}"><inertial><origin xyz="{xyz}"/><mass value="1"/>'
+        f'<inertia ixx="{x!r}" iyy="{y!r}" izz="{z!r}" ixy="0" ixz="0" iyz="0"/></inertial></link>'
+    )

@@ -9,16 +9,12 @@ import numpy as np
 from validation.engines import Missing
 from validation.engines.drake import Drake
 from validation.engines.interface import CannotBuild, installed
-from validation.loops.answers import ask_loop, ask_oracle
-from validation.loops.cases import AWAY, Case, draw_case, oracle_of
-from validation.loops.exudyn import ExudynLoops
+from validation.loops.cases import AWAY, Case, ask_loop, ask_oracle, draw_case, oracle_of
 from validation.loops.mechanisms import MECHANISMS
-from validation.loops.mujoco import MuJoCoLoops
-from validation.loops.peers import LoopPeer, PinocchioLoops
+from validation.loops.peers import ExudynLoops, LoopPeer, MuJoCoLoops, PinocchioLoops
 from validation.oracle.loops import Motion
-from validation.report_tables import Check, Section
-from validation.tolerances import Tolerance
-from validation.worst import size, worst_of
+from validation.report import Check, Section
+from validation.tolerances import Tolerance, size, worst_of
 
 ON_LOOPS = Tolerance(
     "loops",

@@ -22,8 +22,7 @@ from closedloop.mechanics.loops.memory import GEAR, LoopMemory, loops_at
 from closedloop.mechanics.loops.reactions import lose_undriven
 from closedloop.mechanics.loops.solve import leave_free, multiply_transposed, take_free
 from robot_models.loop_joint import LoopJoint
-from validation.loops.answers import Entry, LoopFault, ask_loop, ask_oracle
-from validation.loops.cases import Case, draw_case, oracle_of
+from validation.loops.cases import Case, Entry, LoopFault, ask_loop, ask_oracle, draw_case, oracle_of
 from validation.loops.compare import LOOPS, ON_LOOPS, errors
 from validation.oracle.loops import LoopOracle
 from validation.oracle.loops import LoopRows as RowsByHand

@@ -27,9 +27,7 @@ from closedloop.studies.identify.fit import fit
 from closedloop.studies.identify.identify import Identification, identify
 from closedloop.studies.identify.log import Log
 from closedloop.studies.identify.motion import joined, motion
-from validation.measured.data_file import DATA, columns
-from validation.measured.forward import add_forward
-from validation.measured.judged import Judged, add_parameters, add_torques
+from validation.measured.judged import DATA, Judged, add_forward, add_parameters, add_torques, columns
 
 STEP = 0.004  # s
 RATIOS: Array = np.array([1798 / 7, 1872 / 7, 757 / 3, 221.0, 5032 / 21, 206793 / 1340])

@@ -13,8 +13,7 @@ import numpy as np
 
 from closedloop.studies.identify.identify import Identification, identify
 from closedloop.studies.identify.log import Log
-from validation.measured.data_file import DATA, columns
-from validation.measured.judged import Judged, add_parameters, add_torques, entries, with_half
+from validation.measured.judged import DATA, Judged, add_parameters, add_torques, columns, entries, with_half
 
 RATE = 2500.0  # Hz
 RATIOS = np.array([32.0, 32.0, 45.0, -48.0, 45.0, 32.0])

@@ -13,9 +13,7 @@ from pathlib import Path
 
 from closedloop.studies.identify.identify import identify
 from closedloop.studies.identify.log import Log
-from validation.measured.data_file import columns
-from validation.measured.forward import add_forward
-from validation.measured.judged import Judged, add_parameters, add_torques
+from validation.measured.judged import Judged, add_forward, add_parameters, add_torques, columns
 
 CUTOFF = 5.0  # Hz; the torques were smoothed
 SLOW = 0.03  # the velocity's sign is sure above this share of the largest: torque and motion were smoothed

@@ -7,10 +7,8 @@ method names of an engine.
 Independence is its worth: nothing here imports the simulator, nor any engine that it is compared with.
 """
 
-from validation.oracle.engine import Oracle, Terms
-from validation.oracle.slide import Law, Slide, simulate_slide
-from validation.oracle.tree import Joint, Link, Tree, UnsupportedModel, build_tree
-from validation.oracle.urdf import read_urdf
+from validation.oracle.engine import Law, Oracle, Slide, Terms, simulate_slide
+from validation.oracle.tree import Joint, Link, Tree, UnsupportedModel, build_tree, read_urdf
 
 __all__ = [
     "Joint",

@@ -47,7 +47,7 @@ def main(words: list[str]) -> int:
         runs=options.runs or (16 if options.quick else 256),
         cold=not (options.quick or options.no_cold_start),
     )
-    from validation.speed.table import show
+    from validation.speed.measure import show
 
     show(data)
     if file:
@@ -138,9 +138,7 @@ def line_up(arms: Sequence[str], steps: int, runs: int) -> tuple[list[Contestant
 def measure(*, arms: Sequence[str], steps: int, repeats: int, runs: int, cold: bool) -> dict[str, Any]:
     """Measure everything and return it as it goes into the JSON file."""
     from validation.speed.cold import first_result, first_result_ever
-    from validation.speed.measure import race, ratio
-    from validation.speed.table import as_data
-    from validation.speed.targets import targets
+    from validation.speed.measure import as_data, race, ratio, targets
 
     everyone, missing = line_up(arms, steps, runs)
     timings = race(everyone, repeats, say)

@@ -223,7 +223,7 @@ def _step(h: float, qdd: Array, q: Array, v: Array) -> None:
 
 def drake_loop(arm: str, problem: Problem) -> Contestant:
     """Return Drake's discrete plant with a nearly rigid contact, driven from Python with the same law."""
-    from validation.engines.drake_slide import slide_drake
+    from validation.engines.drake import slide_drake
 
     def lap() -> tuple[float | None, Array | None]:
         run = slide_drake(problem)

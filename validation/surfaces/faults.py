@@ -24,10 +24,8 @@ from closedloop.simulation.engines.problem import Problem
 from validation.oracle.spatial import Array
 from validation.oracle.surface import Shape, SurfaceContact
 from validation.plant import Catch, catch_of
-from validation.surfaces.answers import ask_loop, ask_oracle, problem_of
-from validation.surfaces.cases import MATERIALS, SMOOTH, SOFT, Case, Tumble, oracle_with_tool
-from validation.surfaces.compare import LOOPS, ON_SURFACES, errors
-from validation.surfaces.draw import draw_case
+from validation.surfaces.answers import LOOPS, ON_SURFACES, ask_loop, ask_oracle, errors, problem_of
+from validation.surfaces.cases import MATERIALS, SMOOTH, SOFT, Case, Tumble, draw_case, oracle_with_tool
 
 # So many cases that have what a fault touches.
 CASES = 3

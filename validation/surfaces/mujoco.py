@@ -23,7 +23,7 @@ from validation.engines import Missing
 from validation.engines.interface import installed
 from validation.engines.mujoco import MuJoCo
 from validation.oracle.spatial import Array
-from validation.report_tables import Check, Section
+from validation.report import Check, Section
 
 MASS, RADIUS, PROBE = 2.0, 0.3, 0.02
 IMPEDANCE = 1e-4

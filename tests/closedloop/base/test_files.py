@@ -128,8 +128,8 @@ def test_nothing_is_written_but_whole():
         "closedloop/jit/background.py",
         "validation/bodies.py",
         "validation/franka_sim.py",
-        "validation/measured/cubes/closedloop.py",
-        "validation/measured/forward.py",
+        "validation/measured/cubes/engine.py",
+        "validation/measured/judged.py",
         "validation/speed/bodies.py",
         "validation/speed/robots.py",
     }  # in a temporary folder, or where a user's own savefig says

@@ -16,7 +16,7 @@ from closedloop.record.report.tables import report_rows
 from validation.loops.mechanisms import MECHANISMS, bar, change_point, joint, loop, mechanism, point
 from validation.oracle.closure import LoopJoint, loop_rows
 from validation.oracle.kinematics import forward_kinematics
-from validation.oracle.urdf import read_urdf
+from validation.oracle.tree import read_urdf
 
 # Mechanism to how many of its rows are independent.
 RANKS = {

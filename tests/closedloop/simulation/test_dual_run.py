@@ -15,8 +15,7 @@ from closedloop.simulation.engines.dual_loop import DualRun, prepared, structure
 from closedloop.simulation.prepare import prepare
 from closedloop.studies.gradient.exact import DUALS
 from tests.closedloop.studies.test_gradient import FORCE, MASS, complex_step, point
-from validation.oracle.engine import Oracle
-from validation.oracle.slide import Closure, Law, simulate_slide
+from validation.oracle.engine import Closure, Law, Oracle, simulate_slide
 
 ROWS, MOVING = 4, (0.1, -0.2, 0.3, 0.2)
 

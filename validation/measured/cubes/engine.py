@@ -1,13 +1,32 @@
-"""What a comparison needs of an engine: parameters that may be fitted, and tosses simulated with them."""
+"""What a comparison needs of an engine: parameters that may be fitted, and tosses simulated with them.
 
+This package: a free cube whose eight corners touch the board, rigid, with Coulomb's friction and a restitution.
+
+A ball on a plane is its centre on a plane that is higher by the radius; friction then acts at the centre, 2 mm above
+the board, instead of on it.
+
+MuJoCo: the corners of a cube as balls on a plane, soft contacts with elliptic friction cones.
+
+Drake: the eight corners of a cube as balls on a half-space, Hunt and Crossley's contact.
+
+A box touches a half-space at one point only, so that it could not rest.
+"""
+
+import logging
+import tempfile
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
-from typing import ClassVar
+from pathlib import Path
+from typing import Any, ClassVar
 
+import numpy as np
+
+import closedloop as cl
 from closedloop.base.arrays import Array
-from validation.measured.cubes.tosses import GRAVITY, SIDE, Toss
+from closedloop.scenario.scenario import Scenario
+from validation.measured.cubes.tosses import GRAVITY, MASS, RATE, SIDE, Toss
 
 # Steps between two rows.
 STEPS = 8
@@ -68,3 +87,189 @@ def moment(inertia: float, side: float) -> float:
 def corners(side: float, radius: float) -> list[list[float]]:
     """Return the centres of the balls (8, 3) that round the corners, m, axes of the cube."""
     return [[x * (side / 2.0 - radius) for x in at] for at in product((-1.0, 1.0), repeat=3)]
+
+
+BARE_CUBE = """<mujoco><option gravity="0 0 {g!r}"/><worldbody><body name="cube"><freejoint/>
+<inertial mass="{mass!r}" pos="0 0 0" diaginertia="{moment!r} {moment!r} {moment!r}"/>
+<geom type="box" size="{half!r} {half!r} {half!r}"/></body></worldbody></mujoco>"""
+
+SCENARIO = """[robot]
+model = "{model}"
+[time]
+duration = 1.0
+step = {step!r}
+integrator = "semi_implicit_euler"
+[[contact]]
+name = "corner"
+link = "cube"
+at = {corners}
+through = [0, 0, {radius!r}]
+"""
+
+FRICTION = Parameter("friction", "1", 0.18, 0.02, 1.0)
+
+
+class ClosedLoopCube(CubeEngine):
+    """Fitted: friction and restitution."""
+
+    name: ClassVar = "closedloop"
+    what: ClassVar = "closedloop, eight rigid corners"
+    parameters: ClassVar = (FRICTION, Parameter("restitution", "1", 0.28, 0.01, 0.9), *CUBE)
+
+    def __init__(self, law: str = "newton") -> None:
+        self.law = law
+
+    def scenario(self, values: Sequence[float], folder: Path, toss: Mapping[str, Any] | None = None) -> Scenario:
+        """Return the scenario of a toss, written into a folder; `toss` has the keys of its start and its end."""
+        inertia, radius, side = map(float, values[-len(CUBE) :])
+        robot = folder / "cube.xml"
+        model = BARE_CUBE.format(g=-gravity(side), mass=MASS, moment=moment(inertia, side), half=side / 2.0)
+        robot.write_text(model, encoding="utf-8")
+        points = corners(side, radius)
+        text = SCENARIO.format(model=robot.as_posix(), step=1.0 / (RATE * STEPS), corners=points, radius=radius)
+        path = folder / "toss.toml"
+        path.write_text(text, encoding="utf-8")
+        return cl.load_scenario(str(path), {**self.contact(values), **(toss or {})})
+
+    def contact(self, values: Sequence[float]) -> Mapping[str, Any]:
+        """Return the keys of the contact that the parameters set."""
+        return {
+            "contact.*.friction": float(values[0]),
+            "contact.*.restitution": float(values[1]),
+            "impact.law": self.law,
+        }
+
+    def simulate(self, values: Sequence[float], starts: Sequence[Array], tosses: Sequence[Toss]) -> list[Array]:
+        """Return position and quaternion (rows, 7) of each toss."""
+        with tempfile.TemporaryDirectory() as folder:
+            scenario = self.scenario(values, Path(folder))
+            table = cl.simulate_batch(
+                scenario,
+                {
+                    "start.q": [np.concatenate([x[4:7], x[:4]]).tolist() for x in starts],
+                    "start.v": [np.concatenate([x[10:13], x[7:10]]).tolist() for x in starts],
+                    "time.duration": [(len(each.states) - 1) / RATE for each in tosses],
+                },
+                keep=["q"],
+            )
+        paths = []
+        for kept, toss in zip(table.column("q"), tosses, strict=True):
+            q: Array = np.zeros((0, 7)) if kept.as_py() is None else np.asarray(kept.as_py()).reshape(-1, 7)
+            paths.append(q[::STEPS][: len(toss.states)])
+        return paths
+
+
+MODEL = """<mujoco><option timestep="{step!r}" gravity="0 0 {g!r}" cone="elliptic" impratio="10"/>
+<default><geom friction="{mu!r} 0 0" solref="{time!r} {ratio!r}" condim="3"/></default>
+<worldbody><geom type="plane" size="5 5 1"/>
+<body><freejoint/><inertial mass="{mass!r}" pos="0 0 0" diaginertia="{moment!r} {moment!r} {moment!r}"/>
+{corners}</body></worldbody></mujoco>"""
+CORNER = """<geom type="sphere" size="{radius!r}" pos="{at[0]!r} {at[1]!r} {at[2]!r}" contype="2" conaffinity="1"/>"""
+
+
+class MuJoCoCube(CubeEngine):
+    """Fitted: friction, and time constant and damping ratio of the contact (solref)."""
+
+    name: ClassVar = "mujoco"
+    what: ClassVar = "MuJoCo, elliptic cone, impratio 10"
+    parameters: ClassVar = (
+        Parameter("friction", "1", 0.18, 0.02, 1.0),
+        Parameter("time_constant", "s", 0.01, 2.5e-3, 0.1),
+        Parameter("damping_ratio", "1", 0.7, 0.05, 3.0),
+        *CUBE,
+    )
+
+    def simulate(self, values: Sequence[float], starts: Sequence[Array], tosses: Sequence[Toss]) -> list[Array]:
+        """Return position and quaternion (rows, 7) of each toss."""
+        import mujoco
+
+        mu, time, ratio, inertia, radius, side = map(float, values)
+        balls = "\n".join(CORNER.format(radius=radius, at=at) for at in corners(side, radius))
+        text = MODEL.format(
+            step=1.0 / (RATE * STEPS), g=-gravity(side), mu=mu, time=time, ratio=ratio, mass=MASS,
+            moment=moment(inertia, side), corners=balls,
+        )  # fmt: skip
+        model = mujoco.MjModel.from_xml_string(text)
+        data = mujoco.MjData(model)
+        paths = []
+        for start, toss in zip(starts, tosses, strict=True):
+            mujoco.mj_resetData(model, data)
+            data.qpos[:] = np.concatenate([start[4:7], start[:4]])
+            data.qvel[:] = np.concatenate([start[10:13], start[7:10]])
+            path = np.empty((len(toss.states), 7))
+            path[0] = data.qpos
+            for row in path[1:]:
+                mujoco.mj_step(model, data, STEPS)
+                row[:] = data.qpos
+            paths.append(path)
+        return paths
+
+
+class DrakeCube(CubeEngine):
+    """Fitted: friction, stiffness and dissipation of each corner."""
+
+    name: ClassVar = "drake"
+    what: ClassVar = "Drake, point contact of eight corners, discrete, lagged"
+    parameters: ClassVar = (
+        Parameter("friction", "1", 0.18, 0.02, 1.0),
+        Parameter("stiffness", "N/m", 4e4, 5e2, 1e6),
+        Parameter("dissipation", "s/m", 0.9, 0.01, 20.0),
+        *CUBE,
+    )
+
+    def simulate(self, values: Sequence[float], starts: Sequence[Array], tosses: Sequence[Toss]) -> list[Array]:
+        """Return position and quaternion (rows, 7) of each toss."""
+        from pydrake.geometry import AddContactMaterial, HalfSpace, ProximityProperties, Sphere
+        from pydrake.math import RigidTransform
+        from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, CoulombFriction
+        from pydrake.multibody.tree import SpatialInertia, UnitInertia
+        from pydrake.systems.analysis import Simulator
+        from pydrake.systems.framework import DiagramBuilder
+
+        mu, stiffness, dissipation, inertia, radius, side = map(float, values)
+        builder = DiagramBuilder()
+        plant, _ = AddMultibodyPlantSceneGraph(builder, 1.0 / (RATE * STEPS))
+        unit = moment(inertia, side) / MASS
+        centre: Any = np.zeros(3)  # its signatures name the dtype in the place of the shape
+        body = plant.AddRigidBody("cube", SpatialInertia(MASS, centre, UnitInertia(unit, unit, unit)))
+        plant.mutable_gravity_field().set_gravity_vector([0.0, 0.0, -gravity(side)])
+        friction = CoulombFriction(mu, mu)
+        ground = ProximityProperties()
+        AddContactMaterial(1e-6, 1e12, friction, ground)  # all that gives way is the corner
+        log = logging.getLogger("drake")
+        usual = log.level
+        log.setLevel(logging.ERROR)  # it warns that deformable bodies, of which there are none, do not see a half-space
+        plant.RegisterCollisionGeometry(plant.world_body(), RigidTransform(), HalfSpace(), "ground", ground)
+        log.setLevel(usual)
+        corner = ProximityProperties()
+        AddContactMaterial(dissipation, stiffness, friction, corner)
+        at: Any
+        for number, at in enumerate(corners(side, radius)):
+            plant.RegisterCollisionGeometry(body, RigidTransform(at), Sphere(radius), f"corner{number}", corner)
+        plant.Finalize()
+        simulator = Simulator(builder.Build())
+        context = simulator.get_mutable_context()
+        inside = plant.GetMyMutableContextFromRoot(context)
+        paths = []
+        for start, toss in zip(starts, tosses, strict=True):
+            context.SetTime(0.0)
+            turned = np.empty(3)
+            turned[:] = _rotation(start[:4]) @ start[7:10]
+            plant.SetPositions(inside, np.concatenate([start[:4], start[4:7]]))
+            plant.SetVelocities(inside, np.concatenate([turned, start[10:13]]))
+            simulator.Initialize()
+            path = np.empty((len(toss.states), 7))
+            path[0] = np.concatenate([start[4:7], start[:4]])
+            for i in range(1, len(path)):
+                simulator.AdvanceTo(i / RATE)
+                q = plant.GetPositions(inside)
+                path[i] = np.concatenate([q[4:7], q[:4] / np.linalg.norm(q[:4])])  # which drifts from length one
+            paths.append(path)
+        return paths
+
+
+def _rotation(quaternion: Array) -> Array:
+    """Return the rotation matrix of a unit quaternion w x y z."""
+    from pydrake.common.eigen_geometry import Quaternion
+
+    return np.asarray(Quaternion(quaternion / np.linalg.norm(quaternion)).rotation())

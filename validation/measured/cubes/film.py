@@ -16,9 +16,8 @@ from closedloop.lab.app import Lab
 from closedloop.lab.curves import COLOURS, Panel, Trace
 from closedloop.lab.history import share
 from closedloop.record.run import Run
-from validation.measured.cubes.closedloop import ClosedLoopCube
 from validation.measured.cubes.comparing import fitted
-from validation.measured.cubes.engine import STEPS
+from validation.measured.cubes.engine import STEPS, ClosedLoopCube
 from validation.measured.cubes.tosses import RATE, SIDE, Toss, errors, first_row
 
 # Seconds of the toss in a second of the film.

@@ -15,9 +15,9 @@ from validation.measured.cubes.comparing import (
     over_impacts,
     over_time,
     source_of,
+    training,
     tried,
 )
-from validation.measured.cubes.fitting import training
 from validation.measured.cubes.tosses import Toss, read
 from validation.measured.judged import Judged
 

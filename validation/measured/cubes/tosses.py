@@ -13,7 +13,7 @@ import numpy as np
 
 from closedloop.base.arrays import Array
 from closedloop.base.errors import ModelError
-from validation.measured.data_file import columns
+from validation.measured.judged import columns
 
 RATE = 148.0  # Hz
 SIDE = 0.1048  # m, as published; so is what follows

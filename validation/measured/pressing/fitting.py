@@ -16,9 +16,8 @@ from scipy.optimize import least_squares, minimize
 
 from closedloop.base.arrays import Array
 from validation.measured.pressing.machine import CYCLE, Parameter
-from validation.measured.pressing.measures import LOST as LOST_BELOW
-from validation.measured.pressing.measures import SMOOTH, STEP, Figures, figures, smoothed
-from validation.measured.pressing.touchdowns import Touchdown
+from validation.measured.pressing.touchdowns import LOST as LOST_BELOW
+from validation.measured.pressing.touchdowns import SMOOTH, STEP, Figures, Touchdown, figures, smoothed
 
 # A test counts in the fit by its place in this list; files with other tests are predicted.
 TRAINING = (

@@ -13,13 +13,10 @@ import closedloop as cl
 from closedloop.base.arrays import Array
 from closedloop.base.errors import ClosedLoopError, ModelError
 from closedloop.base.files import reason_of, write_whole
-from validation.measured.judged import Judged, number_or_none
-from validation.measured.paired import WORSE, paired
+from validation.measured.judged import WORSE, Judged, number_or_none, paired
 from validation.measured.pressing.fitting import TRAINING, Engine, Fit, fit, force_mode, measured_figures
-from validation.measured.pressing.machine import ClosedLoopArm, scenario
-from validation.measured.pressing.measures import SMOOTH, Figures, figures
-from validation.measured.pressing.mujoco import MuJoCoArm
-from validation.measured.pressing.touchdowns import Touchdown, read
+from validation.measured.pressing.machine import ClosedLoopArm, MuJoCoArm, scenario
+from validation.measured.pressing.touchdowns import SMOOTH, Figures, Touchdown, figures, read
 
 OURS, PEER = ClosedLoopArm.name, MuJoCoArm.name
 # What a prediction may differ by: means over the tests, of sizes of the difference.

@@ -72,6 +72,8 @@ class Problem(Block, sizes=("n", "k")):
     after: Annotated[Array, 3 * K]  # u⁺
     rounding: float  # force below which there is none, N
     beyond: float  # how far the nearest forces inside the cones are from those that the modes need, N
+    borne: float  # as far as that goes before the modes are sought again, N: twice what it was when they were found
+    sought: float  # 1 until forces are solved in the modes that were sought
     points: float  # 1 if only points touch
     ends: float  # 1 if a slow slip ends within the step, see `closedloop.mechanics.contacts.turning`
 

@@ -458,7 +458,16 @@ def find_least(s: JointSpace, a: int, n: int) -> float:
         for j in range(int(s.first[i]), int(s.end[i])):
             s.q[r] -= row[j] * s.wanted[j]
     start_at_rest(s, a, n)
-    solve_in_joint_space(s, a, n, FIRST_RHO)
+    stiffness, before = FIRST_RHO, math.inf
+    for _ in range(ITERATIONS):
+        s.residual = residual_of(s, a, n)
+        stalls = stiffness == STIFFEST_RHO and s.residual > MOST_OF * before
+        if s.residual <= EXACT or stalls or not s.residual < math.inf:
+            break
+        before = s.residual
+        do_round(s, a, n, stiffness)
+        stiffness = min(WIDENING * stiffness, STIFFEST_RHO)
+    residual_of(s, a, n)
     for j in range(n):
         s.off[j] = s.y[j] - s.wanted[j]
     off = dot(s.off, s.off, n)

@@ -159,7 +159,7 @@ def test_dry_friction_of_joints_stops_what_it_can(mode):
         )
         w.joint_friction.direction[:], w.joint_friction.lagged[:] = np.sign(w.v), np.abs(w.v)
         w.scratch.numbers[:], w.impact.before[:] = 99.0, 99.0
-        interpreted(hold_joints)(w, constants, state)
+        assert interpreted(hold_joints)(w, constants, state)
         dry, limit = w.joint_friction.torque - 0.1, [0.5, 1.0, 1.5, 0.0]
         np.testing.assert_allclose(w.joint_friction.limit, limit)
         change, end = w.qdd - before, w.v + h * w.qdd

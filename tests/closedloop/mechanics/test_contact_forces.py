@@ -24,6 +24,8 @@ from closedloop.mechanics.contacts.joint_space import (
     PUSHES,
     STICKS,
     JointSpace,
+    find_exactly,
+    find_least,
     respond,
 )
 from closedloop.mechanics.contacts.memory import CONE, DOUBLE, LINE, OFF, RAY, make_contact_memory
@@ -197,6 +199,46 @@ def test_what_no_forces_in_the_cones_give_is_said():
     force[0], force[1:3] = -1.0, c.problem.along[0]
     assert not take_shortest(links, c, force)
     assert force[0] == pytest.approx(0.0, abs=1e-9)  # the nearest
+
+
+def cones(rng, a, n, X):
+    """The problem of a contacts in cones of μ = 0.5, with these rows."""
+    s = JointSpace(np.zeros(JointSpace.count(n, a)), n, a)
+    s.normal[:], s.tangent[:], s.mu[:], s.end[:] = PUSHES, IN_CONE, 0.5, n
+    s.X[:] = X
+    s.mobility[:] = np.max(np.sum(X.reshape(a, 3, n) ** 2, axis=2), axis=1)
+    s.largest = s.mobility.max()
+    return s
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_forces_that_no_cones_reach_are_the_nearest(seed):
+    """With off = Xᵀ P − w the least of |off|² over the cones: X off is in the dual cones, and P across it."""
+    rng = np.random.default_rng(seed)
+    a, n = 3, 7
+    s = cones(rng, a, n, rng.normal(size=(3 * a, n)))
+    s.wanted[:] = -s.X.T @ np.tile([1.0, 0.1, 0.2], a) + 0.1 * rng.normal(size=n)  # some pull
+    off = interpreted(find_least)(s, a, n)
+    left = s.X.T @ s.P - s.wanted
+    assert off == pytest.approx(np.linalg.norm(left) / np.sqrt(s.largest), rel=1e-9)
+    P, u = s.P.reshape(a, 3), (s.X @ left).reshape(a, 3)
+    assert np.min(0.5 * P[:, 0] - np.hypot(P[:, 1], P[:, 2])) > -1e-9
+    assert np.min(u[:, 0] - 0.5 * np.hypot(u[:, 1], u[:, 2])) > -1e-8
+    np.testing.assert_allclose(np.sum(P * u), 0.0, atol=1e-8)
+
+
+def test_rows_that_nearly_depend_on_others_take_no_forces_without_bound():
+    """A motion that hardly any joint makes would take 1e6 times the forces: they are found but for that motion."""
+    rng = np.random.default_rng(3)
+    a, n, little, left = 2, 6, 1e-7, 1e-7
+    U, V = (np.linalg.qr(rng.normal(size=(6, 6)))[0] for _ in range(2))
+    s = cones(rng, a, n, U @ np.diag([1.0, 0.9, 0.8, 0.7, 0.6, little]) @ V.T)
+    P = np.array([3.0, 0.2, -0.3, 2.0, 0.1, 0.4])  # inside the cones
+    s.q[:] = -s.X @ s.X.T @ P + left * U[:, 5]
+    s.asked = np.abs(s.q).max()
+    assert interpreted(find_exactly)(s, a, n)
+    assert np.abs(s.P).max() < 10.0
+    assert np.abs(s.u).max() < 2.0 * left
 
 
 def test_impulses_take_away_what_is_left_of_motion():

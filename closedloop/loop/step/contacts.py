@@ -337,19 +337,20 @@ def margin_of(links: ContactLinks, c: Contacts, k: int, slow: float, rest: float
     is slower than `slow` has begun, or fades away.
     """
     least = rim_margin(links, c, h) if links.shapes != 0 else math.inf
-    inside = max(c.problem.rounding, c.problem.borne) - c.problem.beyond
-    depth = closed_depth(links, c)
+    depth, shared = closed_depth(links, c), c.problem.beyond > 0.0  # forces that are shared are inside, or all end
+    inside = max(c.problem.rounding, c.problem.borne) - c.problem.beyond if shared else c.problem.rounding
     for i in range(k):
         n = 3 * i
         if c.friction.pulls[i] == 0.0:
             if c.mode[i] == FREE:
                 least = min(least, open_margin(c, i, depth))
                 continue
-            least = min(least, c.rigid[n] + inside if c.soft[i] == 0.0 else soft_margin(c, i))
+            own = 0.0 if shared else c.rigid[n]
+            least = min(least, own + inside if c.soft[i] == 0.0 else soft_margin(c, i))
         least = min(least, c.inside[i])
         if c.mode[i] == STUCK:
             left = cone_limit(c, i) * abs(c.rigid[n]) - math.hypot(c.rigid[n + 1], c.rigid[n + 2])
-            least = min(least, left + inside)
+            least = min(least, (0.0 if shared else left) + inside)
         elif stops_slipping(c, i) and c.friction.shared[i] == 0.0:
             along = c.u[n + 1] * c.direction[i, 0] + c.u[n + 2] * c.direction[i, 1]
             start = c.friction.start_slip[i]

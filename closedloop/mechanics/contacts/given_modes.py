@@ -392,17 +392,22 @@ def inside_cones(c: Contacts, k: int, F: Array) -> bool:
 def share_forces(links: ContactLinks, c: Contacts) -> None:
     """Replace `rigid` and F, which are not unique, by the shortest inside the cones that do the same, if there are any.
 
-    Where there are none `rigid` is the nearest, and `beyond` says how far off: it grows from zero as the modes end.
-    Normal forces that are known keep theirs, and so does what goes with them.
+    Where there are none `beyond` says how far off the nearest are: it grows from zero as the modes end. They are taken
+    as far as that is `borne`, and by modes that were just found as far as these may be off; beyond that motion goes on
+    as it was, with forces outside, until the end of the modes is located. Normal forces that are known keep theirs, and
+    so does what goes with them.
     """
-    k = links.k
+    k, most = links.k, SLIGHT * force_size(c.rigid) if c.problem.sought != 0.0 else c.problem.borne
     for r in range(3 * k):
-        c.scratch.trial[r] = c.F[r] - c.rigid[r]
+        c.scratch.trial[r], c.scratch.best[r] = c.F[r] - c.rigid[r], c.rigid[r]
     for i in range(k):
         c.scratch.mu[i] = c.problem.form[i]
         c.problem.form[i] = OFF if is_known(links, c, i) else c.problem.form[i]
     c.problem.beyond = find_inside(links, c, 0, c.rigid)
-    if find_inside(links, c, 1, c.F) > 0.0:
+    if c.problem.beyond > max(c.problem.rounding, most):
+        for r in range(3 * k):
+            c.rigid[r] = c.scratch.best[r]
+    elif find_inside(links, c, 1, c.F) > 0.0:
         for r in range(3 * k):
             c.F[r] = c.rigid[r] + c.scratch.trial[r]
     for i in range(k):

@@ -39,11 +39,10 @@ def apply_impulses(links: ContactLinks, c: Contacts, rest_speed: float) -> int:
         c.F[i], c.before[i], c.problem.after[i] = 0.0, c.u[i], c.u[i]
     for i in range(k):
         c.event.happened[i], c.event.struck[i] = 0.0, 0.0
-        inside = c.problem.rounding - c.problem.beyond
-        c.event.pulled[i] = 1.0 if c.mode[i] != FREE and c.rigid[3 * i] + inside < 0.0 else 0.0
+        c.event.pulled[i] = 1.0 if c.mode[i] != FREE and c.rigid[3 * i] < -c.problem.rounding else 0.0
         friction = math.hypot(c.rigid[3 * i + 1], c.rigid[3 * i + 2])
-        left = cone_limit(c, i) * abs(c.rigid[3 * i]) - friction + inside
-        c.event.outside[i] = 1.0 if c.mode[i] == STUCK and left < 0.0 and c.event.pulled[i] == 0.0 else 0.0
+        left = cone_limit(c, i) * abs(c.rigid[3 * i]) - friction + c.problem.rounding
+        c.event.outside[i] = 1.0 if c.mode[i] == STUCK and left < 0.0 else 0.0
         if (
             c.event.outside[i] != 0.0 and c.friction.sticks[i] != SMOOTH and friction > 0.0
         ):  # where it slips, if it begins to

@@ -32,7 +32,7 @@ import numpy as np
 import closedloop as cl
 from closedloop.figures import STYLE
 from closedloop.gym import TASKS
-from validation.cross_entropy import Episodes, learn_to_press
+from validation.policy import Episodes, learn_to_press
 
 plt.rcParams.update(STYLE)
 plt.rcParams["figure.dpi"] = 100

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from robot_models import build, inspected, notes, physics, urdf
+from robot_models import build, described, notes, physics, urdf
 from robot_models.coordinates import (
     PARTS,
     RATES,
@@ -19,14 +19,13 @@ from robot_models.coordinates import (
     in_pinocchios_order,
     normalised,
 )
-from robot_models.default_tip import default_tip
 from robot_models.described import Description, Format, canonical, find, joint_names, names_a_file
 from robot_models.errors import ModelError
-from robot_models.loop_coordinate import with_coordinates
+from robot_models.loop_coordinate import place_coordinates, stands_for, with_coordinates
 from robot_models.loop_joint import LoopJoint, check_loops, loop_joint, without
-from robot_models.loop_posture import place_coordinates, stands_for
 from robot_models.model import RobotModel
 from robot_models.sidecar import Sidecar
+from robot_models.tool import default_tip
 
 if TYPE_CHECKING:
     from os import PathLike
@@ -209,7 +208,7 @@ def _held(found: Description, locked: Mapping[str, float]) -> Description:
     between sums of joints binds those that are left.
     """
     warnings = list(found.warnings)
-    if found.format == "urdf" and not inspected.has_passed(found.text, locked):
+    if found.format == "urdf" and not described.has_passed(found.text, locked):
         warnings += urdf.inspect(found.text, found.where, locked)
     sidecar, loops = found.sidecar, []
     for loop in sidecar.closed_loop:

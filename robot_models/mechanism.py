@@ -1,7 +1,7 @@
 """What a text says of a mechanism, in numbers: its links, where each hangs, and what it weighs.
 
 Both formats are written down here by readers of our own, so that the model that Pinocchio builds can be held against
-the text (`robot_models.compare`).
+the text (`robot_models.build`).
 """
 
 from dataclasses import dataclass, field

@@ -86,7 +86,7 @@ class RobotModel:
     drives: tuple[str, ...] | None = None
     #: Whether the drives stand behind springs: their inertia is then not in the mass matrix.
     elastic: bool = False
-    #: Whether the links that stand for coordinates of loop joints share no mass, see `robot_models.loop_posture`.
+    #: Whether the links that stand for coordinates of loop joints share no mass, see `robot_models.loop_coordinate`.
     whole: bool = False
 
     def __post_init__(self) -> None:
@@ -178,7 +178,7 @@ class RobotModel:
         for tool in self.tools:
             tool.mount(model)
         if self.whole:
-            from robot_models.loop_posture import give_back
+            from robot_models.loop_coordinate import give_back
 
             give_back(model, self.loops)
         return model

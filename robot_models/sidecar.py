@@ -32,8 +32,7 @@ from pathlib import Path
 
 from robot_models.errors import ModelError, shown
 from robot_models.loop_joint import LoopJoint, loop_joint
-from robot_models.toml_text import toml_tables
-from robot_models.xml_text import read_text
+from robot_models.xml_text import read_text, toml_tables
 
 _TEXTS = ("description", "source", "tip")
 _TABLES = ("home", "lock", "drive_inertia")

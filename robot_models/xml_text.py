@@ -1,4 +1,4 @@
-"""XML from strangers: bytes to an element tree, or a one-line reason why not.
+"""XML and TOML from strangers: bytes to an element tree, text to tables, or a one-line reason why not, soon.
 
 The tree is built by the standard library's expat. A document type declaration is refused before any of it is
 read, so no entity is ever expanded and nothing outside the file is ever fetched.
@@ -6,9 +6,11 @@ read, so no entity is ever expanded and nothing outside the file is ever fetched
 
 import re
 import stat
+import tomllib
 import xml.etree.ElementTree as ET
 from pathlib import Path
 from sys import float_info
+from typing import Any
 
 from robot_models.errors import ModelError
 
@@ -170,3 +172,23 @@ def numbers(value: str, count: int | None, what: str) -> list[float]:
             raise ModelError(f"{what} is {value!r}: {word!r} is too small for a double: write 0")
         result.append(number)
     return result
+
+
+#: A dotted key of more parts than this is an attack or a mistake; the parser's time grows with their cube.
+MOST_PARTS = 20
+
+_PART = r"""(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')"""
+_LONG_KEY = re.compile(rf"(?<![\w-])(?:{_PART}[ \t]*+\.[ \t]*+){{{MOST_PARTS}}}", re.ASCII)
+
+
+def toml_tables(text: str) -> dict[str, Any]:
+    """Return the tables of a TOML text.
+
+    Raises `ValueError` if the text is no TOML, or is nested too deeply: the reason.
+    """
+    if _LONG_KEY.search(text):
+        raise ValueError(f"a key has more than {MOST_PARTS} parts")
+    try:
+        return tomllib.loads(text)
+    except RecursionError:
+        raise ValueError("nested too deeply") from None

@@ -1,7 +1,7 @@
 """A learned policy beside the six laws as tuned: ``python -m validation.learning``.
 
 The cross-entropy method learns to press with 10 N on surfaces of unknown stiffness and friction
-(`validation.cross_entropy`). The gains of each law are found by `closedloop.tune`, for the worst of soft and stiff,
+(`validation.policy`). The gains of each law are found by `closedloop.tune`, for the worst of soft and stiff,
 smooth and rough. All are then tried on the same held-out surfaces, which neither has met.
 """
 
@@ -19,8 +19,7 @@ import closedloop as cl
 from closedloop.base.arrays import Array
 from closedloop.base.files import write_whole
 from closedloop.gym import TASKS
-from validation.cross_entropy import Episodes, learn_to_press
-from validation.policy import LinearPolicy
+from validation.policy import Episodes, LinearPolicy, learn_to_press
 
 PRESS = str(TASKS["press"].scenario)
 SECONDS, SETTLED = 1.5, 0.5

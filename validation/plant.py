@@ -92,7 +92,7 @@ def _judges(model: Any) -> tuple[type[Engine], type[Engine]]:
 
 def plant_runs() -> list[Catch]:
     """Plant every fault of the compiled engine's arrays in a run, in turn: a slide in which every joint moves."""
-    from validation.engines.compiled_runs import compare_runs, faulty_tree
+    from validation.engines.slides import compare_runs, faulty_tree
 
     slide = {"reference.direction": [0.6, 0.8, 0.0], "reference.stop": 1.0, "time.duration": 1.2}
     catches = []

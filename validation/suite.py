@@ -219,7 +219,7 @@ def _slides() -> Section:
 
 def _compiled_runs(say: Callable[[str], None]) -> Section:
     """Compare whole runs of the compiled engine with those on Pinocchio, on every shipped scenario."""
-    from validation.engines.compiled_runs import compare_compiled
+    from validation.engines.slides import compare_compiled
 
     section = Section("shipped scenarios, compiled engine against Pinocchio: the error over what rounding becomes")
     for check in compare_compiled(say):

@@ -29,7 +29,7 @@ from closedloop.scenario.load import scenario_of
 from closedloop.scenario.modes import closed_mobility, gains_fault, unresolved_feedback
 from closedloop.scenario.scenario import Scenario
 from robot_models.coordinates import RATES
-from robot_models.loop_posture import stands_for
+from robot_models.loop_coordinate import stands_for
 from robot_models.model import AT_LIMIT, RobotModel
 from robot_models.physics import SINGULAR, least_inertia
 

@@ -16,7 +16,7 @@ from closedloop.lab.server import is_loopback
 from closedloop.lab.start import NEEDS
 from closedloop.scenario.user_module import member_digests
 from closedloop.serve.serve import INTERFACES, Served, serve
-from closedloop.serve.watch import Watch
+from closedloop.serve.session import Watch
 
 # How long a signal that comes just before the main thread waits stays unanswered at the most, s.
 ANSWERED = 0.5

@@ -17,8 +17,7 @@ from closedloop.scenario.scenario import Scenario
 from robot_models import RobotModel, Tool
 from robot_models.bodies import FreeBody, with_bodies
 from robot_models.coordinates import PARTS, PLACES, RATES, normalised, with_rotation_vectors
-from robot_models.joint_dynamics import joint_dynamics, loop_dynamics
-from robot_models.tendon import rough_tendons
+from robot_models.tendon import joint_dynamics, loop_dynamics, rough_tendons
 
 
 def start_posture(scenario: Scenario, model: RobotModel) -> Array:

@@ -33,7 +33,7 @@ from closedloop.scenario.messages import explain, variant_keys
 from closedloop.scenario.scenario import Scenario, families, families_in
 from robot_models.described import names_a_file
 from robot_models.errors import shown
-from robot_models.toml_text import toml_tables
+from robot_models.xml_text import toml_tables
 
 # Where a run starts.
 START = {"start.q", "start.v"}

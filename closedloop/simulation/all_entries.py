@@ -15,7 +15,7 @@ from closedloop.jit.parameters import lists_per_joint
 from closedloop.scenario.scenario import Scenario
 from robot_models import RobotModel
 from robot_models.coordinates import in_pinocchios_order
-from robot_models.loop_posture import coordinate_rates, place_coordinates
+from robot_models.loop_coordinate import coordinate_rates, place_coordinates
 
 
 def with_all_entries(scenario: Scenario, model: RobotModel) -> Scenario:

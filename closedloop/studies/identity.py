@@ -9,7 +9,7 @@ from closedloop.jit.user_code import source_digest
 from closedloop.record.save import package_versions
 from closedloop.scenario.scenario import NO_ROBOT, Scenario, families
 from closedloop.scenario.user_module import members_of_users
-from robot_models.digest import digest_of
+from robot_models.mesh_files import digest_of
 
 # What is kept depends on it, in words.
 NAMES = {

@@ -7,7 +7,7 @@ from model_texts import INERTIAL, LIMIT, arm, joint, link
 
 import robot_models
 from robot_models import ModelError, urdf_mechanism
-from robot_models.compare import check_built
+from robot_models.build import check_built
 from robot_models.mechanism import MAX_JOINTS, MAX_LINKS
 
 WELDED = joint("end", "fore", "tip", kind="fixed", limit="")

@@ -16,9 +16,9 @@ from model_texts import INERTIAL, LIMIT, arm, joint, link, mjcf, urdf
 
 import closedloop as cl
 import robot_models
-from robot_models import inspected, shipped
+from robot_models import described, shipped
 from robot_models.collision import collision_shapes
-from robot_models.digest import digest_of
+from robot_models.mesh_files import digest_of
 
 ARRAYS = ("armature", "position_lower", "position_upper", "velocity_limit", "effort_limit", "home", "gravity")
 
@@ -139,19 +139,19 @@ def test_what_was_inspected_still_passes(name):
     from robot_models import urdf as reader
 
     text = shipped.path_of(name).read_text()
-    assert inspected.digest(text) in inspected.PASSED
+    assert described.digest(text) in described.PASSED
     reader.inspect(reader.read(text, name), name, ())
 
 
 def test_one_byte_more_is_inspected_again():
     """The memory is of bytes, and of the joints that were locked."""
     text = shipped.path_of("wam4").read_text()
-    assert inspected.has_passed(text, ())
-    assert inspected.has_passed(text, ["J1"])
-    assert not inspected.has_passed(text + " ", ())
+    assert described.has_passed(text, ())
+    assert described.has_passed(text, ["J1"])
+    assert not described.has_passed(text + " ", ())
     panda = robot_models.load("panda")
-    assert inspected.has_passed(panda.text, panda.locked)
-    assert not inspected.has_passed(panda.text, ["panda_finger_joint2"])
+    assert described.has_passed(panda.text, panda.locked)
+    assert not described.has_passed(panda.text, ["panda_finger_joint2"])
 
 
 def run(code):

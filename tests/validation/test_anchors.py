@@ -12,7 +12,7 @@ from budget import every
 from pinocchio_reference import PinocchioEngine
 
 from validation.anchors import Case, ReferenceProblem, grade, grade_all, reference_problems
-from validation.anchors.description import Robot, read
+from validation.anchors.problem import Robot, read
 from validation.anchors.quantities import QUANTITIES
 from validation.engines.hand_written import HandWritten
 from validation.engines.interface import CannotBuild

@@ -8,7 +8,7 @@ import pytest
 from budget import every
 
 from validation.anchors import grade, iiwa, puma560, reference_problems
-from validation.anchors.description import joint, link, read, robot
+from validation.anchors.problem import joint, link, read, robot
 from validation.oracle import Oracle
 
 PUMA = read("puma560")

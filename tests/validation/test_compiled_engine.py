@@ -8,8 +8,8 @@ import robot_models
 from closedloop.mechanics.robot.tree import tree_of
 from closedloop.simulation.engines.scenario_numbers import needs_general_form
 from validation.engines import CannotBuild, available
-from validation.engines.compiled_runs import compare_runs, faulty_tree, record, shipped, twin
 from validation.engines.loop import Compiled
+from validation.engines.slides import compare_runs, faulty_tree, record, shipped, twin
 from validation.plant_faults import TREE_FAULTS
 
 # Free, pressed and let go; an impact; a slide: one of each, in a second or less.

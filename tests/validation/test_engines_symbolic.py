@@ -14,8 +14,10 @@ from validation.random_trees import random_robot
 sympy = pytest.importorskip("sympy", reason='pip install "sympy>=1.13" "mpmath>=1.3"')
 mpmath = pytest.importorskip("mpmath", reason='pip install "sympy>=1.13" "mpmath>=1.3"')
 
-from validation.engines.lagrangian import BITS  # noqa: E402
-from validation.engines.symbolic import Symbolic  # noqa: E402
+from validation.engines.symbolic import (  # noqa: E402
+    BITS,
+    Symbolic,
+)
 
 Q, V, TORQUE = np.array([[0.3, 0.7, -0.4], [1.0, -0.5, 0.4], [3.0, 2.0, -1.0]])
 

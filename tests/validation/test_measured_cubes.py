@@ -12,7 +12,7 @@ from closedloop.figures.scene.scene import scene_of
 from closedloop.figures.scene.solids import OPACITY
 from closedloop.lab.drawn import robot_message
 from validation.measured.__main__ import main
-from validation.measured.cubes import film
+from validation.measured.cubes import figures
 from validation.measured.cubes.__main__ import main as command
 from validation.measured.cubes.comparing import (
     BUDGET,
@@ -253,10 +253,10 @@ def test_single_corners_bounce_and_slide_as_the_engines_are_fitted(tosses):
 
 def test_a_film_shows_a_toss_beside_the_measured_one(tosses, tmp_path, monkeypatch, capsys):
     """A page is written for each frame; the ghost is where the log has the cube. A number that is none is one line."""
-    monkeypatch.setattr(film, "SPEED", 4.0)
+    monkeypatch.setattr(figures, "SPEED", 4.0)
     assert command(["--film", str(tosses[3].number), str(tmp_path / "toss.gif")]) == 0
     assert (tmp_path / "toss.gif").read_bytes()[:3] == b"GIF"
-    ghost = film.measured(tosses[3])
+    ghost = figures.measured(tosses[3])
     np.testing.assert_array_equal(ghost.place(5 / RATE)[1], tosses[3].states[5, 4:7])
     for words in (["--film", "4000", "a.gif"], ["--film", "x", "a.gif"], ["--film", "3", "a.avi"]):
         assert command(words) == 2
@@ -265,7 +265,7 @@ def test_a_film_shows_a_toss_beside_the_measured_one(tosses, tmp_path, monkeypat
 
 def test_the_lab_shows_a_toss_beside_the_measured_one(tosses, capsys):
     """Whatever friction is set; another scenario has no measured cube. A number that is none is one line."""
-    lab, shown = film.opened(tosses[3]), threading.Event()
+    lab, shown = figures.opened(tosses[3]), threading.Event()
     try:
         lab.after_show.append(lambda answer: shown.set())
         lab.changed("contact.0.friction", 0.05)
@@ -282,6 +282,6 @@ def test_the_lab_shows_a_toss_beside_the_measured_one(tosses, capsys):
 
 def test_the_page_of_the_lab_has_the_ghosts_of_a_run(tosses):
     """The shape of each has a place of its own, which is where the log has the cube at that instant."""
-    scene = scene_of(film.simulated(tosses[3]), [film.as_fitted(tosses[3])])
+    scene = scene_of(figures.simulated(tosses[3]), [figures.as_fitted(tosses[3])])
     ghost = [shape for shape in robot_message(scene)["shapes"] if shape["kind"] == "measured"]
     assert [shape["opacity"] for shape in ghost] == [OPACITY]

@@ -11,8 +11,19 @@ from closedloop.base.errors import ModelError
 from validation.measured.__main__ import main
 from validation.measured.judged import BETTER, EQUAL, WORSE, Judged, paired
 from validation.measured.pressing.__main__ import main as draw
-from validation.measured.pressing.fitting import Fit, force_mode, intervals, measured_figures, residuals
-from validation.measured.pressing.judging import GOALS, compare, fits_of, judge, repeats, sizes_of_differences
+from validation.measured.pressing.judging import (
+    GOALS,
+    Fit,
+    compare,
+    fits_of,
+    force_mode,
+    intervals,
+    judge,
+    measured_figures,
+    repeats,
+    residuals,
+    sizes_of_differences,
+)
 from validation.measured.pressing.machine import (
     CONTACT,
     MACHINE,
@@ -74,7 +85,7 @@ def test_a_wrong_number_is_seen(made):
 def test_a_fit_is_written_and_names_its_tests(made, monkeypatch):
     """Where the file of the fit is not there, it is made from the tests to fit to, better than the first guess."""
     monkeypatch.setattr("validation.measured.pressing.judging.find_spec", lambda name: None)
-    monkeypatch.setattr("validation.measured.pressing.fitting.BUDGET", 0.5)
+    monkeypatch.setattr("validation.measured.pressing.judging.BUDGET", 0.5)
     path = made / "new.json"
     fits = fits_of(read(made / "made.npz"), made / "made.npz", path)
     assert fits["closedloop"]["tests"] == [NAMES[0]]
@@ -123,7 +134,7 @@ def test_a_tip_that_sticks_makes_the_arm_stiffer():
 @pytest.mark.parametrize("gain", [0.5, 1.0])
 def test_the_force_mode_is_found_from_its_own_log(gain, monkeypatch):
     """Mass, damper and lag are those that made the speed of the set point, whatever machine made the force."""
-    monkeypatch.setattr("validation.measured.pressing.fitting.LOST_BELOW", 0.0)  # this force has no noise
+    monkeypatch.setattr("validation.measured.pressing.judging.LOST_BELOW", 0.0)  # this force has no noise
     test = Touchdown(NAMES[0], "straight", 55.0, gain, 0.25, 0.03, 2.5, np.zeros(0), np.zeros(0))
     run = cl.simulate(scenario(VALUES, test), progress=False)
     time = run.time - contact_time(run.time, run.contact_force)

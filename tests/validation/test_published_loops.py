@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from validation.anchors.description import read
+from validation.anchors.problem import read
 from validation.loops import andrews
 from validation.loops.andrews import (
     ANDREWS_START,

@@ -12,13 +12,12 @@ import pytest
 
 import closedloop as cl
 from validation.speed.__main__ import line_up, main
-from validation.speed.arms import ARMS, chain, slide
-from validation.speed.batch import compiled_batch
 from validation.speed.bodies import of_bodies
-from validation.speed.contestants import Contestant, converged, final, our_engine, with_errors
+from validation.speed.contestants import ARMS, Contestant, chain, converged, final, our_engine, slide, with_errors
 from validation.speed.feet import BOXES, STANDS, on_feet
 from validation.speed.loops import GIVES_WAY, MECHANISMS, coasting, racing
 from validation.speed.measure import Timing, growth, race, ratio, targets
+from validation.speed.repeated import compiled_batch
 from validation.speed.robots import ROBOTS, of_robot
 from validation.speed.scenes import WALL, bodies_of, of_scene
 from validation.speed.served import main as main_served

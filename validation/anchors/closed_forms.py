@@ -19,8 +19,7 @@ import numpy as np
 
 import robot_models
 from robot_models.planar2 import closed_form
-from validation.anchors.description import Robot, joint, link, read, robot
-from validation.anchors.problem import Case, ReferenceProblem
+from validation.anchors.problem import Case, ReferenceProblem, Robot, joint, link, read, robot
 from validation.oracle.spatial import Array
 
 CHAIN = 1e-13

@@ -9,8 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from validation.anchors.description import Robot, joint, link, read, robot, with_triad
-from validation.anchors.problem import Case, ReferenceProblem
+from validation.anchors.problem import Case, ReferenceProblem, Robot, joint, link, read, robot, with_triad
 from validation.oracle.spatial import Array
 
 N = 7

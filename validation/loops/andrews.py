@@ -22,7 +22,7 @@ import closedloop as cl
 import robot_models
 from closedloop.record.run import Run
 from robot_models import RobotModel
-from validation.anchors.description import read
+from validation.anchors.problem import read
 from validation.loops.mechanisms import joint, loop, point
 from validation.oracle.spatial import Array
 from validation.report import Check, Section

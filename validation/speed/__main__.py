@@ -11,9 +11,8 @@ from closedloop.base.errors import OutputError
 from closedloop.base.files import write_whole
 from closedloop.command.border import Parser, as_command
 from validation.run import InputError, say
-from validation.speed.arms import ARMS, slide
 from validation.speed.bodies import BODIES
-from validation.speed.contestants import Contestant
+from validation.speed.contestants import ARMS, Contestant, slide
 from validation.speed.feet import BOXES
 from validation.speed.loops import MECHANISMS
 from validation.speed.robots import ROBOTS
@@ -81,11 +80,11 @@ def _parser() -> Parser:
 
 def line_up(arms: Sequence[str], steps: int, runs: int) -> tuple[list[Contestant], dict[str, str]]:
     """Return everyone who races, and why the others do not."""
-    from validation.speed import batch, bodies, contestants, derivatives, feet, inertia, loops, repeated, robots, scenes
+    from validation.speed import bodies, contestants, feet, loops, repeated, robots, scenes
 
     there = {name: find_spec(module) is not None for name, module in (("mujoco", "mujoco"), ("drake", "pydrake"))}
     missing = {name: INSTALL for name, found in there.items() if not found}
-    everyone: list[Contestant] = [batch.arithmetic(threads) for threads in (1, 2)]
+    everyone: list[Contestant] = [repeated.arithmetic(threads) for threads in (1, 2)]
     for arm in arms:
         say(f"preparing {arm}")
         if arm in MECHANISMS:
@@ -106,7 +105,7 @@ def line_up(arms: Sequence[str], steps: int, runs: int) -> tuple[list[Contestant
         problem = slide(arm, steps)
         racing = [contestants.our_engine(arm, problem, "compiled")]
         if arm == "wam4":
-            racing.append(batch.in_lanes(arm, problem))
+            racing.append(repeated.in_lanes(arm, problem))
         racing += [
             contestants.our_engine(arm, problem, "pinocchio"),
             contestants.bare_calls(arm, problem),
@@ -118,18 +117,18 @@ def line_up(arms: Sequence[str], steps: int, runs: int) -> tuple[list[Contestant
 
             racing += [mujoco.driven(arm, problem), mujoco.bare(arm, problem), mujoco.bare(arm, problem, exact=True)]
         everyone += contestants.with_errors(racing, problem)
-        everyone += [inertia.composite_bodies(arm, problem), inertia.newton_euler_columns(arm, problem)]
+        everyone += [contestants.composite_bodies(arm, problem), contestants.newton_euler_columns(arm, problem)]
         if there["drake"]:
             shorter = slide(arm, max(1, steps // DRAKE_SHARE))
             everyone += contestants.with_errors([contestants.drake_loop(arm, shorter)], shorter)
         if arm == "wam4":
             everyone.append(contestants.user_law(arm, problem))
-            everyone += derivatives.racing(arm, problem) + batch.with_events(arm)
+            everyone += repeated.racing(arm, problem) + repeated.with_events(arm)
             whole = slide(arm, 2 * steps)  # by default as long as `wam_slide`
             everyone += contestants.whole_call(arm, whole)
             everyone += repeated.from_elsewhere(arm, problem) + repeated.with_other_values(arm, problem)
             everyone += repeated.episodes(arm)
-            everyone += [batch.compiled_batch(arm, whole, runs, threads) for threads in (1, 2)]
+            everyone += [repeated.compiled_batch(arm, whole, runs, threads) for threads in (1, 2)]
             if there["mujoco"]:
                 everyone += [mujoco.rollout(arm, problem, min(runs, MOST_ROLLOUTS), threads) for threads in (1, 2)]
     return everyone, missing

@@ -2,6 +2,12 @@
 
 A contestant is prepared once and then runs laps. A lap gives the seconds that its steps took, if it knows them apart
 from setting out, and where the arm ended: those that do the whole work must end at the same q.
+
+They race on slides: one law, one step, on arms of two to thirty joints.
+
+The mass matrix is computed in two ways: composite bodies, and a Newton–Euler pass a column. The paper takes
+Featherstone's composite-rigid-body algorithm for H and calls the double recursion of Walker and Orin (1982) easy to
+implement but computationally expensive. Both here by Pinocchio, so that nothing but the method differs.
 """
 
 from collections.abc import Callable, Sequence
@@ -13,6 +19,7 @@ import numpy as np
 import pinocchio as pin
 
 import closedloop as cl
+import robot_models
 from closedloop.control.laws.paper import paper_law
 from closedloop.jit.kernel import entry_kernel
 from closedloop.loop.step.evaluate import PaperParameters
@@ -20,6 +27,7 @@ from closedloop.mechanics.robot.pinocchio import Terms
 from closedloop.simulation.engines.loops import COMPILED
 from closedloop.simulation.engines.problem import Problem
 from closedloop.simulation.simulate import run_loop
+from robot_models import RobotModel
 from validation.oracle.spatial import Array
 
 # MuJoCo's cones of friction: of Coulomb's law, and its default of four faces, which is quicker.
@@ -232,3 +240,90 @@ def drake_loop(arm: str, problem: Problem) -> Contestant:
 
     what = "Drake from Python"
     return Contestant("drake", arm, problem.robot.n, problem.steps, lap, final(problem), 1e-4, what)
+
+
+# The reach of a chain, its mass, and the drive inertia of each joint: those of an arm, whatever the number of joints.
+REACH, MASS, ARMATURE = 1.2, 4.0, 0.1
+
+SHIPPED = {"planar2": "planar2_slide", "wam4": "wam_slide", "panda": "panda_slide"}
+CHAINS = {"chain12": 12, "chain30": 30}
+ARMS = (*SHIPPED, *CHAINS)
+"""The arms, by growing number of joints."""
+
+START = 0.01
+"""When the tip begins to move, s."""
+
+
+def slide(arm: str, steps: int) -> Problem:
+    """Return the slide of an arm as numbers: `steps` steps of a millisecond, in motion from 10 ms on.
+
+    arm: one of `ARMS`
+    steps: how many steps of 1 ms to take
+    """
+    changes: dict[str, Any] = {
+        "time.duration": steps * 1e-3, "reference.start": START, "reference.stop": 1e-3 * steps + 0.1,
+    }  # fmt: skip
+    if arm in SHIPPED:
+        return cl.prepare(cl.load_scenario(SHIPPED[arm], changes))
+    model = chain(CHAINS[arm])
+    changes |= {
+        "robot.model": arm, "start.q": model.home.tolist(), "start.v": [0.0] * model.n,
+        "law.kp": 400.0, "law.kd": 40.0,
+    }  # fmt: skip
+    return cl.prepare(cl.load_scenario("wam_slide", changes), model)
+
+
+def chain(n: int) -> RobotModel:
+    """Return an arm of n equal links one after the other, its axes in turn across and along the vertical, bent."""
+    length, mass = REACH / n, MASS / n
+    side = mass * length**2 / 12
+    parts = ['<robot name="chain">', '<link name="base"/>']
+    for i in range(n):
+        axis = "0 0 1" if i % 3 == 0 else "0 1 0"
+        parts.append(
+            f'<joint name="j{i}" type="revolute"><parent link="{f"l{i - 1}" if i else "base"}"/><child link="l{i}"/>'
+            f'<origin xyz="{length if i else 0.0} 0 0"/><axis xyz="{axis}"/>'
+            '<limit lower="-3" upper="3" effort="1" velocity="1"/></joint>'
+            f'<link name="l{i}"><inertial><origin xyz="{length / 2} 0 0"/><mass value="{mass}"/>'
+            f'<inertia ixx="{side / 10}" iyy="{side}" izz="{side}" ixy="0" ixz="0" iyz="0"/></inertial></link>'
+        )
+    parts.append(
+        f'<joint name="mount" type="fixed"><parent link="l{n - 1}"/><child link="tip"/><origin xyz="{length} 0 0"/>'
+        '</joint><link name="tip"/></robot>'
+    )
+    home = np.array([0.0 if i % 3 == 0 else (0.9 if i % 3 == 1 else 0.3) * 4.0 / n for i in range(n)])
+    return robot_models.from_text(
+        "\n".join(parts), "urdf", name=f"chain{n}", armature=np.full(n, ARMATURE), tip="tip", home=home, locked={}
+    )
+
+
+def composite_bodies(arm: str, problem: Problem) -> Contestant:
+    """Return `pinocchio.crba`: H in one sweep over composite bodies."""
+    model = problem.robot.model.pinocchio_model()
+    data, q, steps = model.createData(), problem.q.copy(), problem.steps
+
+    def lap() -> tuple[float | None, Array | None]:
+        for _ in range(steps):
+            pin.crba(model, data, q)
+        return None, np.triu(data.M).ravel()
+
+    return Contestant("crba", arm, problem.robot.n, steps, lap, what="H by composite bodies")
+
+
+def newton_euler_columns(arm: str, problem: Problem) -> Contestant:
+    """Return H column by column from `pinocchio.rnea`: rest, no weight, and one unit acceleration a pass."""
+    model = problem.robot.model.pinocchio_model().copy()
+    model.gravity.linear = np.zeros(3)
+    data, q, n, steps = model.createData(), problem.q.copy(), problem.robot.n, problem.steps
+    rest, units, H = np.zeros(n), list(np.eye(n)), np.empty((n, n))
+
+    def lap() -> tuple[float | None, Array | None]:
+        for _ in range(steps):
+            for j in range(n):
+                H[:, j] = pin.rnea(model, data, q, rest, units[j])
+        return None, np.triu(H).ravel()
+
+    theirs = composite_bodies(arm, problem).lap()[1]
+    assert theirs is not None
+    scale = float(np.max(np.abs(theirs)))
+    return Contestant("rnea_columns", arm, n, steps, lap, theirs, 1e-12 * scale, "H by Newton–Euler columns")

@@ -39,8 +39,8 @@ from closedloop.mechanics.loops.rows import locate_rows
 from closedloop.mechanics.loops.solve import combine_rows, dot, free_motion, meet_rows, orthonormal_rows, take_off
 from closedloop.mechanics.robot.pinocchio import Robot
 from robot_models import RobotModel
+from robot_models.loop_coordinate import new_side
 from robot_models.loop_joint import BINDS, LoopJoint
-from robot_models.loop_posture import new_side
 
 
 @kernel

@@ -45,7 +45,7 @@ from closedloop.scenario.arm import joint_friction_of, robot_of
 from closedloop.scenario.modes import gains_fault
 from closedloop.scenario.scenario import Scenario
 from robot_models import RobotModel
-from robot_models.joint_dynamics import loop_dynamics
+from robot_models.tendon import loop_dynamics
 
 
 def count_limited(limited: Array, h: float, values: Any) -> None:

@@ -14,7 +14,7 @@ import numpy as np
 
 from closedloop.base.arrays import Array
 from closedloop.serve.franka import wire
-from closedloop.serve.franka.arm import JOINTS
+from closedloop.serve.franka.generator import JOINTS
 from closedloop.serve.session import Session
 from closedloop.serve.sockets import Client, Gone, Port
 

@@ -16,8 +16,7 @@ import numpy as np
 from closedloop.base.arrays import Array
 from closedloop.base.errors import ModelError, OutputError, ScenarioError
 from closedloop.serve.franka import wire
-from closedloop.serve.franka.arm import JOINTS, Arm
-from closedloop.serve.franka.generator import LOST, Generator, Impedance, Reflexes
+from closedloop.serve.franka.generator import JOINTS, LOST, Arm, Generator, Impedance, Reflexes
 from closedloop.serve.franka.gripper import Gripper
 from closedloop.serve.session import Clock, Interface
 from closedloop.serve.sockets import Client, Gone, Port, Stopped

@@ -14,7 +14,7 @@ import closedloop as cl
 from closedloop.__main__ import main
 from closedloop.figures.motion import tip_errors
 from closedloop.lab import mapping
-from closedloop.serve.watch import Watch
+from closedloop.serve.session import Watch
 from closedloop.studies.analysis.stability import Stability
 from validation.speed import in_browser
 from validation.speed.in_browser import wait_until

@@ -18,8 +18,7 @@ import closedloop as cl
 import closedloop.gym as clgym
 from closedloop.gym.env import ContactEnv, ContactVectorEnv
 from closedloop.loop.step.record_row import Row
-from validation.cross_entropy import Episodes, cross_entropy, learn_to_press
-from validation.policy import LinearPolicy
+from validation.policy import Episodes, LinearPolicy, cross_entropy, learn_to_press
 
 IDS = {**{name: {} for name in clgym.TASKS}, "scenario": {"scenario": "wam_touchdown"}}
 FORTH = {"overrides": {"time.duration": 0.3}}

@@ -113,7 +113,7 @@ def test_the_lab_shows_what_is_served_while_it_goes_on():
     sockets = pytest.importorskip("websockets.sync.client", reason="websockets is not installed: the extra 'lab'")
     closed = pytest.importorskip("websockets.exceptions").ConnectionClosed
     from closedloop.lab.drawn import unpack
-    from closedloop.serve.watch import Watch
+    from closedloop.serve.session import Watch
 
     with cl.serve(SCENARIO, overrides=BRIEF, lock_step=True) as served:
         watch, arm = Watch(served.session), Json(served.port)

@@ -17,8 +17,7 @@ import pytest
 
 import closedloop as cl
 from closedloop.serve.franka import wire
-from closedloop.serve.franka.arm import Arm, turned
-from closedloop.serve.franka.generator import Generator, Impedance
+from closedloop.serve.franka.generator import Arm, Generator, Impedance, turned
 
 needs_client = pytest.mark.skipif(
     find_spec("pylibfranka") is None, reason='pylibfranka is not installed: pip install "closedloop[franka]" (Linux)'

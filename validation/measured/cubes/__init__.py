@@ -6,6 +6,6 @@ python -m validation.measured.cubes --figures DIR
 python -m validation.measured.cubes --film 20 toss.gif   # a toss, simulated and measured
 """
 
-from validation.measured.cubes.judging import judge
+from validation.measured.cubes.comparing import judge
 
 __all__ = ["judge"]

@@ -17,7 +17,7 @@ from closedloop.command.border import Parser, as_command
 from closedloop.command.lab import serve
 from validation.measured.cubes.comparing import FITTED, engines, fit, fits, fitted, held_out, training, tried
 from validation.measured.cubes.engine import ClosedLoopCube
-from validation.measured.cubes.film import film, opened, toss_of
+from validation.measured.cubes.figures import film, opened, toss_of
 from validation.measured.cubes.flight import geometry_lines
 from validation.measured.cubes.impacts import impact_lines
 from validation.measured.cubes.tosses import Toss, first_row, mean_errors, read

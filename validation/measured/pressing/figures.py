@@ -10,7 +10,7 @@ import numpy as np
 
 from closedloop.base.arrays import Array
 from closedloop.figures.style import COLOURS, STROKES, new_figure, styled
-from validation.measured.pressing.fitting import measured_figures
+from validation.measured.pressing.judging import measured_figures
 from validation.measured.pressing.touchdowns import Touchdown
 
 if TYPE_CHECKING:

@@ -16,10 +16,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from closedloop.base.arrays import Array
+from closedloop.base.arrays import Array, plain
 from closedloop.loop.step.record_row import Row
 from closedloop.serve.session import Clock, Interface, Session
-from closedloop.serve.sockets import Client, Gone, Stopped
+from closedloop.serve.sockets import Client, Gone
 from closedloop.simulation.state import StepState
 
 MAGIC = b"CLB1"
@@ -215,10 +215,6 @@ def codec_of(client: Client, states: States) -> Codec | None:
     raise Gone("is refused: it must begin with { or with the bytes CLB1")
 
 
-def _finite(value: Any) -> Any:
-    return None if isinstance(value, float) and not math.isfinite(value) else value
-
-
 class Plain(Interface):
     """JSON and binary messages over TCP."""
 
@@ -227,16 +223,13 @@ class Plain(Interface):
         self._states = States(self.session)
         self._events: list[dict[str, Any]] = []
         port = self.ports[0]
-        try:
-            while True:
-                self.waiting.ready(None)
-                if port.client is not None:
-                    try:
-                        self._talk(port.client)
-                    except Gone as gone:
-                        port.drop(str(gone))
-        except Stopped:
-            pass
+        while True:
+            self.waiting.ready(None)
+            if port.client is not None:
+                try:
+                    self._talk(port.client)
+                except Gone as gone:
+                    port.drop(str(gone))
 
     def _talk(self, client: Client) -> None:
         session, waiting = self.session, self.waiting
@@ -282,15 +275,7 @@ class Plain(Interface):
                 fresh = waits = False
 
     def _step(self, torque: Array | None) -> None:
-        state = self.session.step(torque)
-        if events := state.events:
-            found = []
-            for event in events:
-                entry = event._asdict()
-                for name in ("tangential", "position"):
-                    entry[name] = [float(value) for value in entry[name]]
-                found.append({name: _finite(value) for name, value in entry.items()})
-            self._events += found
+        self._events += [plain(event._asdict()) for event in self.session.step(torque).events]
 
     def _state(self, codec: Codec) -> bytes | bytearray:
         session = self.session
@@ -304,8 +289,7 @@ class Plain(Interface):
             events, self._events = self._events, []
             return codec.answer(kind, events)
         if kind == WRENCH:
-            radius = session.problem.scenario.tool.radius
-            return codec.answer(kind, wrench(session.state, radius))
+            return codec.answer(kind, wrench(session.state, session.problem.scenario.tool.radius))
         if kind == RESET:
             session.reset()
             self._events = []

@@ -3,6 +3,7 @@
 import logging
 import threading
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ from closedloop.scenario.scenario import Scenario
 from closedloop.serve.franka.server import Franka
 from closedloop.serve.messages import Plain
 from closedloop.serve.session import Interface, Session
-from closedloop.serve.sockets import Say
+from closedloop.serve.sockets import Say, Stopped
 from closedloop.serve.ur import Ur
 
 # The interfaces, and how long a run may be at least where the scenario's own duration is shorter, s.
@@ -46,7 +47,8 @@ class Served:
 
     def _serve(self) -> None:
         try:
-            self._interface.serve()
+            with suppress(Stopped):
+                self._interface.serve()
         except BaseException as failure:  # it is raised where `close` is called
             self._failure = failure
         finally:

@@ -109,9 +109,17 @@ class Interface:
             raise
         self.ports = tuple(opened)
         self.waiting = Ports(*self.ports)
+        try:
+            self.prepare(host)
+        except BaseException:
+            self.close()
+            raise
+
+    def prepare(self, host: str) -> None:
+        """Make what serving needs, and refuse an arm that cannot be served; `host` is where it listens."""
 
     def serve(self) -> None:
-        """Serve clients until `stop`, or until the record is full.
+        """Serve clients until `stop`, which raises Stopped here, or until the record is full.
 
         Raises
         ------

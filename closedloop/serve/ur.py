@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from closedloop.base.arrays import Array
 from closedloop.base.errors import ScenarioError
 from closedloop.serve.session import Clock, Interface
-from closedloop.serve.sockets import Client, Gone, Stopped
+from closedloop.serve.sockets import Client, Gone
 
 PORT, VERSION = 30004, 2
 # The controller's version that a client is told: major, minor, bugfix, build.
@@ -86,16 +86,9 @@ class Ur(Interface):
 
     numbers = (PORT,)
 
-    def __init__(self, *given: Any, **more: Any) -> None:
-        super().__init__(*given, **more)
+    def prepare(self, host: str) -> None:
+        """See `Interface`."""
         self._links: dict[Client, Link] = {}
-        try:
-            self._prepare()
-        except BaseException:
-            self.close()
-            raise
-
-    def _prepare(self) -> None:
         problem = self.session.problem
         tool = problem.scenario.tool
         self._robot, self._radius = problem.robot, tool.radius
@@ -120,29 +113,26 @@ class Ur(Interface):
     def serve(self) -> None:
         """See `Interface`."""
         port, clock, cycle = self.ports[0], Clock(1.0 / RATE), 0
-        try:
-            while not self.session.done:
-                left = clock.left() if self._links else None
-                ready = self.waiting.ready(left, self._links)
-                if (new := port.client) is not None:
-                    port.client = None
-                    if not self._links:
-                        clock.begin()
-                    self._links[new] = Link()
-                for client in [each for each in self._links if each in ready]:
-                    self._guarded(client, self._receive)
-                if left == 0.0 and self._links:
-                    clock.tick()
-                    self.session.late = clock.late
-                    self._advance()
-                    cycle += 1
-                    due = [each for each, link in self._links.items() if link.runs and cycle % link.every == 0]
-                    values = self._values() if due else {}
-                    for client in due:
-                        self._guarded(client, self._report, values)
-            self.say("the record is full: the server ends; --time.duration makes it longer")
-        except Stopped:
-            pass
+        while not self.session.done:
+            left = clock.left() if self._links else None
+            ready = self.waiting.ready(left, self._links)
+            if (new := port.client) is not None:
+                port.client = None
+                if not self._links:
+                    clock.begin()
+                self._links[new] = Link()
+            for client in [each for each in self._links if each in ready]:
+                self._guarded(client, self._receive)
+            if left == 0.0 and self._links:
+                clock.tick()
+                self.session.late = clock.late
+                self._advance()
+                cycle += 1
+                due = [each for each, link in self._links.items() if link.runs and cycle % link.every == 0]
+                values = self._values() if due else {}
+                for client in due:
+                    self._guarded(client, self._report, values)
+        self.say("the record is full: the server ends; --time.duration makes it longer")
 
     def close(self) -> None:
         """See `Interface`."""

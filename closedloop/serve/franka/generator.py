@@ -62,8 +62,7 @@ def describe(robot: Robot, flange: str) -> str:
     for j in range(JOINTS):
         place, body = model.jointPlacements[j + 1], model.inertias[j + 1]
         turned = turned @ place.rotation
-        link = ET.SubElement(root, "link", name=f"link{j + 1}")
-        inertial = ET.SubElement(link, "inertial")
+        inertial = ET.SubElement(ET.SubElement(root, "link", name=f"link{j + 1}"), "inertial")
         ET.SubElement(inertial, "origin", xyz=_text(body.lever), rpy="0 0 0")
         ET.SubElement(inertial, "mass", value=repr(float(body.mass)))
         tensor = np.array(body.inertia)

@@ -51,8 +51,7 @@ class Gripper:
         self._held = sum(value for name, value in model.locked.items() if "finger" in name)
         upper = model.position_upper[JOINTS:]
         self._widest = self._held + float(upper.sum()) if fingers and np.isfinite(upper).all() else WIDEST
-        H = problem.robot.terms(session.state.q, session.state.v).mass_matrix
-        self._mass = np.diag(H)[JOINTS:]
+        self._mass = np.diag(problem.robot.terms(session.state.q, session.state.v).mass_matrix)[JOINTS:]
         self._wanted = np.array(session.state.q[JOINTS:])
         self._goal, self._speed, self._force, self._closes = self._wanted.copy(), SPEED, FORCE, False
         self._grasp: tuple[float, float, float] | None = None  # width, and how much less and more it may be
@@ -123,8 +122,7 @@ class Gripper:
             version, port = given
             fits = version == wire.GRIPPER_VERSION
             self._to = (client.host, port) if fits else None
-            answer = wire.GRIPPER_VERSION.to_bytes(2, "little")
-            self._answer(client, command, number, 0 if fits else 1, answer)
+            self._answer(client, command, number, 0 if fits else 1, wire.GRIPPER_VERSION.to_bytes(2, "little"))
             return
         if self._order is not None:
             self._finish(wire.GRIPPER_ABORTED)

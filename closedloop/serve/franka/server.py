@@ -9,6 +9,7 @@ import socket
 import time
 from collections import deque
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -19,7 +20,7 @@ from closedloop.serve.franka import wire
 from closedloop.serve.franka.generator import JOINTS, LOST, Arm, Generator, Impedance, Reflexes
 from closedloop.serve.franka.gripper import Gripper
 from closedloop.serve.session import Clock, Interface
-from closedloop.serve.sockets import Client, Gone, Port, Stopped
+from closedloop.serve.sockets import Client, Gone, Port
 
 PERIOD = 1e-3
 # Lock-step: when a state is sent again, s. The first one is sent twice, since libfranka reads one to see that the
@@ -41,15 +42,8 @@ class Franka(Interface):
 
     numbers = (wire.ROBOT_PORT, wire.GRIPPER_PORT)
 
-    def __init__(self, *given: Any, **more: Any) -> None:
-        super().__init__(*given, **more)
-        try:
-            self._prepare(more["host"])
-        except BaseException:
-            self.close()
-            raise
-
-    def _prepare(self, host: str) -> None:
+    def prepare(self, host: str) -> None:
+        """See `Interface`."""
         problem = self.session.problem
         self._substeps = round(PERIOD / problem.h)
         if self._substeps < 1 or abs(self._substeps * problem.h - PERIOD) > 1e-9:
@@ -101,20 +95,17 @@ class Franka(Interface):
     def serve(self) -> None:
         """See `Interface`."""
         arm, hand = self.ports
-        try:
-            while not self.session.done:
-                client = arm.client
-                if client is None or self._to is None:
-                    self._wait(None if client is None and hand.client is None else BETWEEN)
-                else:
-                    self._send_state()
-                    self._cycle()
-                if self.gripper.busy and self._move is None and (self.lock_step or self._to is None):
-                    self._advance(self._hold())
-                self.gripper.report(hand)
-            self.say("the record is full: the server ends; --time.duration makes it longer")
-        except Stopped:
-            pass
+        while not self.session.done:
+            client = arm.client
+            if client is None or self._to is None:
+                self._wait(None if client is None and hand.client is None else BETWEEN)
+            else:
+                self._send_state()
+                self._cycle()
+            if self.gripper.busy and self._move is None and (self.lock_step or self._to is None):
+                self._advance(self._hold())
+            self.gripper.report(hand)
+        self.say("the record is full: the server ends; --time.duration makes it longer")
 
     def _cycle(self) -> None:
         """Wait until the next state is to be sent, with what happens until then."""
@@ -149,8 +140,9 @@ class Franka(Interface):
             self._advance(self._hold())
             return
         self._recent.append(command is not None)
-        begun = command is not None or self.session.cycles > self._cycles_before
-        if begun:  # before the first command there is nothing to lose
+        if (
+            command is not None or self.session.cycles > self._cycles_before
+        ):  # before the first command there is nothing to lose
             self.session.cycles += 1
             self._lost = 0 if command is not None else self._lost + 1
             self.session.lost += command is None
@@ -258,17 +250,15 @@ class Franka(Interface):
         """Take over a setting, and return whether it can be."""
         if not np.isfinite(given).all():
             return False
+        not_negative = (wire.SET_COLLISION, wire.SET_JOINT_IMPEDANCE, wire.SET_CARTESIAN_IMPEDANCE)
+        if command in not_negative and (given < 0.0).any():
+            return False
         if command == wire.SET_COLLISION:
-            if (given < 0.0).any():
-                return False
             self.reflexes.set_thresholds(given)
-        elif command in (wire.SET_JOINT_IMPEDANCE, wire.SET_CARTESIAN_IMPEDANCE):
-            if (given < 0.0).any():
-                return False
-            if command == wire.SET_JOINT_IMPEDANCE:
-                self.springs.joints = given
-            else:
-                self.springs.end_effector = given
+        elif command == wire.SET_JOINT_IMPEDANCE:
+            self.springs.joints = given
+        elif command == wire.SET_CARTESIAN_IMPEDANCE:
+            self.springs.end_effector = given
         elif command == wire.SET_LOAD:
             try:
                 self.arm.set_load(given[0], given[1:4], given[4:])
@@ -399,8 +389,7 @@ class Franka(Interface):
         if self._reads:
             q, v = state.measured_position[:JOINTS], state.measured_velocity[:JOINTS]
         T, J = self.arm.end_effector(q)
-        expected = self.arm.robot.inverse_dynamics(q, v, acceleration)
-        self.reflexes.update(measured - expected, T, J, self.motion)
+        self.reflexes.update(measured - self.arm.robot.inverse_dynamics(q, v, acceleration), T, J, self.motion)
         self._rate = (measured - self._measured) / PERIOD
         self._q, self._v, self._measured, self._T = q, v, measured, T
 
@@ -434,11 +423,9 @@ class Franka(Interface):
         message = self._state.bytes(
             self._message, generator, controller, _flags(self._errors), _flags(self._reasons), self._mode, rate
         )
-        try:
-            assert self._to is not None
+        assert self._to is not None
+        with suppress(OSError):  # its buffer is full, or the client's port is closed: TCP will say so
             self._udp.sendto(message, self._to)
-        except OSError:  # its buffer is full, or the client's port is closed: TCP will say so
-            pass
 
 
 # Motion generators of Move as the state shows them.
@@ -448,13 +435,5 @@ _SHOWN = {
 }  # fmt: skip
 
 
-_NO_ERRORS = bytes(wire.ERRORS)
-
-
 def _flags(errors: set[int]) -> bytes:
-    if not errors:
-        return _NO_ERRORS
-    found = bytearray(wire.ERRORS)
-    for error in errors:
-        found[error] = 1
-    return bytes(found)
+    return bytes(number in errors for number in range(wire.ERRORS))

@@ -182,12 +182,10 @@ def pair_of(one: CollisionShape, other: CollisionShape, link: str, against: str)
     of a capsule, cross those of the other.
     """
     parts: Parts = []
-    if other.kind != "sphere":
+    if other.kind != "sphere" or one.kind == "sphere":
         parts += [part | surface_of_shape(other) | {"link": link, "against": against} for part in parts_of(one, "")]
     if one.kind != "sphere":
         parts += [part | surface_of_shape(one) | {"link": against, "against": link} for part in parts_of(other, "")]
-    elif other.kind == "sphere":
-        parts += [part | surface_of_shape(other) | {"link": link, "against": against} for part in parts_of(one, "")]
     if "sphere" in (one.kind, other.kind):
         return parts
     if one.kind == "box" and other.kind == "capsule":

@@ -126,8 +126,6 @@ def refuse_lost(given: Mapping[str, Any], kinds: Iterable[tuple[str, Any]]) -> N
     `given`: the overrides that all runs have in common.
     `kinds`: keys that change, and one of their values each; only those that pick a kind matter.
     """
-    from closedloop.scenario.messages import variant_keys
-
     faults: dict[str, tuple[str, str]] = {}
     for key, kind in kinds:
         section, _, last = key.partition(".")

@@ -29,8 +29,7 @@ ALIKE = 0.5  # of difflib's ratio, from which on a word is taken for a misspelt 
 @cache
 def _other_words() -> dict[str, Any]:
     """Return the words of textbooks, of other simulators and of code for our "keys" and "sections"."""
-    file = files("closedloop.scenario") / "other_words.toml"
-    return tomllib.loads(file.read_text(encoding="utf-8"))
+    return tomllib.loads((files("closedloop.scenario") / "other_words.toml").read_text(encoding="utf-8"))
 
 
 def called(word: str) -> tuple[str, ...]:
@@ -76,11 +75,6 @@ def variants(section: str) -> Mapping[str, type[Section]]:
             tag = kind.model_fields.get("kind")
             found[tag.default if tag else ""] = kind
     return found
-
-
-def is_section(name: str) -> bool:
-    """Tell whether a field of a scenario is a section; unlike `variants`, this imports no member of a family."""
-    return _family(name) is not None or bool(variants(name))
 
 
 def _family(section: str) -> Family[Any] | None:
@@ -156,7 +150,7 @@ def counted(length: int) -> str:
 
 def _explain(problem: ErrorDetails, data: dict[str, Any], length: int) -> tuple[str, str]:
     """Return the key of a fault, and a line about it; `length` is that of the list in which an entry is missing."""
-    location = [_brief(str(part)) for part in problem["loc"]]
+    location = [key if len(key) <= LONGEST_KEY else f"{key[:LONGEST_KEY]}..." for key in map(str, problem["loc"])]
     section = location[0] if location else ""
     # pydantic names the branch of a union that it tried, after the section; a user knows only keys and places in lists.
     union = section in Scenario.model_fields and _family(section) is None and len(variants(section)) > 1
@@ -216,11 +210,6 @@ def _by_kind(section: str, data: dict[str, Any]) -> str:
 
 def _dotted(path: list[str]) -> str:
     return "".join(f"[{p}]" if p.isdigit() else f".{p}" for p in path).removeprefix(".")
-
-
-def _brief(key: str) -> str:
-    """Return a key as messages show it: whole, but for one of absurd length."""
-    return key if len(key) <= LONGEST_KEY else f"{key[:LONGEST_KEY]}..."
 
 
 def _with_inner(section: str) -> type[Section] | None:
@@ -375,8 +364,9 @@ class Key(NamedTuple):
 
 def sections() -> dict[str, str]:
     """Return the sections of a scenario, in order, and what each is."""
-    fields = Scenario.model_fields.items()
-    return {name: field.description or "" for name, field in fields if is_section(name) or table_type(name)}
+    fields = Scenario.model_fields.items()  # of a family no member is imported
+    found = [(name, field) for name, field in fields if _family(name) is not None or variants(name) or table_type(name)]
+    return {name: field.description or "" for name, field in found}
 
 
 def keys(section: str) -> list[Key]:
@@ -432,10 +422,13 @@ def describe_section(section: str) -> str:
         lines = [*_wrapped(f"[[{section}]] ", known[section]), "", *_wrapped("", OF_A_TABLE.format(section))]
     if _has_kinds(section):
         lines += ["", *_kinds(section)]
+    place = ".N" if table_type(section) else ""  # for the number of the table
     for key in keys(section):
         kinds = "" if len(key.kinds) == len(variants(section)) else f"  [{', '.join(key.kinds)}]" if key.kinds else ""
-        head = f"  --{_with_place(key.name)} ({_default(key.field)})"
-        lines += ["", *_wrapped(head, kinds, hang=8), *_wrapped("        ", _meaning(key))]
+        head = f"  --{section}{place}{key.name.removeprefix(section)} ({_default(key.field)})"
+        names = next((f"{_members(one)}: " for one in key.field.metadata if isinstance(one, OneOf)), "")
+        meaning = names + (key.field.description or "")
+        lines += ["", *_wrapped(head, kinds, hang=8), *_wrapped("        ", meaning)]
     return "\n".join(lines)
 
 
@@ -461,12 +454,6 @@ def _meant(section: str, name: str) -> str:
     near = key_meant(name, {each.partition(".")[2]: None for each in _names(known)}) if known else None
     found = f"{known}.{near}" if near else elsewhere(name)
     return f"did you mean {found!r}?" if found else "--help SECTION lists the keys of a section"
-
-
-def _with_place(key: str) -> str:
-    """Return a key as it is given: with a place for the number, where its section is a list of tables."""
-    section, _, name = key.partition(".")
-    return f"{section}.N.{name}" if table_type(section) else key
 
 
 def facts(key: Key) -> dict[str, str]:
@@ -502,12 +489,6 @@ def _kinds(section: str) -> list[str]:
     if f"{section}.kind" in families():
         lines.append(f"  or {OWN}, on the command line")
     return lines
-
-
-def _meaning(key: Key) -> str:
-    """Return what a key is, with the names that it may say."""
-    names = next((one for one in key.field.metadata if isinstance(one, OneOf)), None)
-    return (f"{_members(names)}: " if names else "") + (key.field.description or "")
 
 
 def _members(key: OneOf) -> str:

@@ -274,8 +274,7 @@ def closed_mobility(robot: Robot, q: Array, mobility: NDArray[Any]) -> Array:
     """Return what a robot's loops leave of H⁻¹ (n, n) at q (n,)."""
     if not robot.model.loops:
         return mobility
-    G = loop_rows(robot, q[None], np.zeros((1, robot.n)))[0][0]
-    return held_at(G, mobility)
+    return held_at(loop_rows(robot, q[None], np.zeros((1, robot.n)))[0][0], mobility)
 
 
 def held_at(G: Array, mobility: Array) -> Array:

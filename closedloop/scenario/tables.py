@@ -113,8 +113,7 @@ def share_of(compliance: Any, count: int, name: str) -> dict[str, Any]:
         raise ScenarioError(f"contact {name!r}: {said}{' or '.join(map(repr, SHARED))}")
     law, names = SHARED[kind]
     whole = {key: compliance.get(key, law.model_fields[key].default) for key in names}
-    numbers = {key: value / count for key, value in whole.items() if isinstance(value, int | float)}
-    return compliance | numbers
+    return compliance | {key: value / count for key, value in whole.items() if isinstance(value, int | float)}
 
 
 def _length(value: Any) -> float:

@@ -116,19 +116,15 @@ def _where_and_what(error: BaseException, file: str) -> str:
     if isinstance(error, SyntaxError) and error.filename:
         return f"{_short(error.filename)}:{error.lineno or 1}: {error.msg}"
     # The first two are `importing` and the command that imports.
-    frames = [frame for frame in traceback.extract_tb(error.__traceback__)[2:] if _is_users(frame.filename)]
+    frames = [frame for frame in traceback.extract_tb(error.__traceback__)[2:] if os.path.isfile(frame.filename)]
+    frames = [frame for frame in frames if frame.filename != importlib.__file__]
     here = [frame for frame in frames if not os.path.isabs(_short(frame.filename))]
-    lines = str(error).splitlines()
-    what = ": ".join([type(error).__name__, *lines[:1]])
+    what = ": ".join([type(error).__name__, *str(error).splitlines()[:1]])
     if isinstance(error, SystemExit):
         what = f"calls sys.exit({error.code!r})"
     for frame in reversed(here or frames):
         return f"{_short(frame.filename)}:{frame.lineno}: {what}"
     return f"{_short(file)}: {what}" if file else what
-
-
-def _is_users(path: str) -> bool:
-    return os.path.isfile(path) and path != importlib.__file__
 
 
 def _short(path: str) -> str:
@@ -144,8 +140,7 @@ def members_of_users(scenario: Scenario) -> dict[str, str]:
     """Return the keys that select a user's class in a scenario, and its name, MODULE:CLASS."""
     sure, nested = _keys_of_kinds()
     names = (*attrgetter(*sure)(scenario), *(_at(scenario, parts) for parts in nested))
-    laws = tuple(contact.restitution_law for contact in scenario.contact or ())
-    return dict(_of_users(names, laws))
+    return dict(_of_users(names, tuple(contact.restitution_law for contact in scenario.contact or ())))
 
 
 @lru_cache(maxsize=64)

@@ -6,9 +6,7 @@ one table of them. ``closedloop.lab`` is a package, and a function as well.
 
 import inspect
 import sys
-from collections.abc import Callable
-from functools import cache
-from importlib import import_module
+from pkgutil import resolve_name
 from types import ModuleType
 from typing import Any
 
@@ -27,24 +25,18 @@ ABOVE = {
 
 def called(name: str, *arguments: Any, **options: Any) -> Any:
     """Return what the function of that name returns, see `ABOVE`."""
-    return _found(name)(*arguments, **options)
+    return resolve_name(ABOVE[name])(*arguments, **options)
 
 
-@cache
-def _found(name: str) -> Callable[..., Any]:
-    module, _, function = ABOVE[name].partition(":")
-    return getattr(import_module(module), function)
-
-
-def make_callable(package: str, found: Callable[[], Callable[..., Any]]) -> None:
-    """Let a package that is being imported be called as a function, which `found` imports when it is."""
+def make_callable(package: str, function: str) -> None:
+    """Let a package that is being imported be called as MODULE:FUNCTION, which is imported when it is."""
 
     class CallablePackage(ModuleType):
         def __call__(self, *arguments: Any, **options: Any) -> Any:
-            return found()(*arguments, **options)
+            return resolve_name(function)(*arguments, **options)
 
         @property
         def __signature__(self) -> inspect.Signature:
-            return inspect.signature(found())
+            return inspect.signature(resolve_name(function))
 
     sys.modules[package].__class__ = CallablePackage

@@ -21,8 +21,7 @@ def main(words: list[str]) -> int:
         share=options.share, seed=options.seed,
     )  # fmt: skip
     print("\n".join(map(printable, found.lines())))
-    table = found.to_pandas()
-    write_whole(folder / "excitation.csv", table.to_csv(index=False).encode())
+    write_whole(folder / "excitation.csv", found.to_pandas().to_csv(index=False).encode())
     write_whole(folder / "report.txt", ("\n".join(found.lines()) + "\n").encode())
     print("\n" + what_was_written("excitation.csv", "report.txt", folder=folder))
     return DONE

@@ -44,6 +44,5 @@ def main(arguments: list[str]) -> int:
     out = Path(options.out or beside.with_name(beside.name + ENDINGS.get(options.to, f".{options.to}")))
     if out.exists() and not options.overwrite:
         raise OutputError(f"{out}: is there already; name another file with --out, or replace it with --overwrite")
-    paths = FORMATS[options.to](run, out)
-    print(what_was_written(*paths))
+    print(what_was_written(*FORMATS[options.to](run, out)))
     return DONE

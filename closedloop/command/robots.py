@@ -8,11 +8,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from pkgutil import resolve_name
 from typing import TYPE_CHECKING
 
 from closedloop.base.errors import printable
 from closedloop.command.border import DONE, Parser, as_command
-from closedloop.command.table import ROBOT_CHECK, function_called
+from closedloop.command.table import ROBOT_CHECK
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -30,9 +31,7 @@ def main(words: list[str]) -> int:
         description="List what can be named as robot.model, or show one robot: joints, limits and frames.",
     )
     parser.add_argument("robot", nargs="?", help="a name of the list, or the path of a URDF or MJCF file")
-    parser.add_argument(
-        "--check", action="store_true", help="compare H, C, energy and Jacobians with MuJoCo's and Pinocchio's"
-    )
+    parser.options({"--check": "compare H, C, energy and Jacobians with MuJoCo's and Pinocchio's"})
     options = parser.parse_args(words)
     from rich.console import Console
 
@@ -200,7 +199,7 @@ def _check(model: RobotModel, file: str, console: Console) -> int:
     if not model.n:
         console.print("nothing moves: there is nothing to check")
         return DONE
-    lines, wrong = function_called(ROBOT_CHECK)(model, file)
+    lines, wrong = resolve_name(ROBOT_CHECK)(model, file)
     for line in lines:
         console.print(line, markup=False)
     return 1 if wrong else DONE

@@ -6,8 +6,8 @@ as ``python -m validation.run`` does.
 """
 
 from collections.abc import Callable
-from importlib import import_module
-from typing import Any, NamedTuple
+from pkgutil import resolve_name
+from typing import NamedTuple
 
 
 class Command(NamedTuple):
@@ -55,13 +55,7 @@ AMERICAN = {"analyse": "analyze"}
 
 def imported(command: Command) -> Callable[[list[str]], int]:
     """Import the module of a command and return its function."""
-    return function_called(command.main)
-
-
-def function_called(name: str) -> Callable[..., Any]:
-    """Import MODULE:FUNCTION."""
-    module, _, function = name.partition(":")
-    return getattr(import_module(module), function)
+    return resolve_name(command.main)
 
 
 def find(name: str) -> Command | None:

@@ -3,8 +3,6 @@
 Exit status: 0 done; 2 the input is at fault; 3 no point that was tried meets the constraints.
 """
 
-from typing import Any
-
 from closedloop.base.errors import ScenarioError
 from closedloop.base.files import made_folder, what_was_written, write_whole
 from closedloop.command.border import DONE, STOPPED, Parser, as_command
@@ -15,7 +13,7 @@ from closedloop.command.shared_options import parsed, print_outcome
 def main(words: list[str]) -> int:
     """Run the command line and return the exit status."""
     from closedloop.scenario.load import load_scenario
-    from closedloop.studies.sweep.design import parse_range
+    from closedloop.studies.sweep.design import parse_axis, parse_range
 
     options, overrides = parsed(_parser(), words)
     if not options.vary:
@@ -34,9 +32,10 @@ def main(words: list[str]) -> int:
             raise ScenarioError(
                 f"--minimise {text}: must be a value, or WEIGHT*VALUE, such as 0.1*max_tip_speed"
             ) from None
+    over = {axis.key: [axis.at(i) for i in range(len(axis))] for axis in map(parse_axis, options.over)}
     tuning = tune(
         scenario, {axis.key: (axis.low, axis.high) for axis in ranges}, found, options.subject_to,
-        over=dict(map(_variation, options.over)), robust=options.robust, log=[axis.key for axis in ranges if axis.log],
+        over=over, robust=options.robust, log=[axis.key for axis in ranges if axis.log],
         starts=options.starts, seed=options.seed, kept=folder / "runs.jsonl" if folder else None, progress=True,
     )  # fmt: skip
     report = print_outcome(tuning, options.json)
@@ -80,11 +79,3 @@ def _parser() -> Parser:
     }
     parser.options(table, starts=4, seed=0)
     return parser
-
-
-def _variation(text: str) -> tuple[str, list[Any]]:
-    """Read KEY=VALUES."""
-    from closedloop.studies.sweep.design import parse_axis
-
-    axis = parse_axis(text)
-    return axis.key, [axis.at(i) for i in range(len(axis))]

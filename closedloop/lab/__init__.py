@@ -6,16 +6,6 @@ is in `web`: with a server it is the lab (`app`), with data inside it is what `R
 The package can be called, since ``closedloop.lab`` is its name as a module and as a function.
 """
 
-from collections.abc import Callable
-from typing import Any
-
 from closedloop.base.upwards import make_callable
 
-
-def _function() -> Callable[..., Any]:
-    from closedloop.lab.start import lab
-
-    return lab
-
-
-make_callable(__name__, _function)
+make_callable(__name__, "closedloop.lab.start:lab")

@@ -5,16 +5,6 @@ ports, with one client at a time. `messages` are our own messages, as JSON or bi
 Franka's arms, `ur` that of Universal Robots' arms for data.
 """
 
-from collections.abc import Callable
-from typing import Any
-
 from closedloop.base.upwards import make_callable
 
-
-def _function() -> Callable[..., Any]:
-    from closedloop.serve.serve import serve
-
-    return serve
-
-
-make_callable(__name__, _function)
+make_callable(__name__, "closedloop.serve.serve:serve")

@@ -241,8 +241,7 @@ def _draw_path(axes: Axes, run: Run, seen: Array, wanted: Array, wide: bool) -> 
         points = np.stack((x, y), axis=1)
         force = run.contact_force[rows][pressed]
         low, high = np.quantile(run.contact_force[run.mode != FREE], [BRIEF, 1.0 - BRIEF])
-        least = LIKE * max(1.0, abs(float(high)))
-        middle, half = 0.5 * (low + high), max(0.5 * (high - low), least)
+        middle, half = 0.5 * (low + high), max(0.5 * (high - low), LIKE * max(1.0, abs(float(high))))
         pieces = LineCollection(
             list(np.stack((points[pressed], points[pressed + 1]), axis=1)), cmap="viridis", linewidths=1.6,
             array=force, clim=(float(middle - half), float(middle + half)),

@@ -32,15 +32,12 @@ def html(run: Run) -> str:
     from closedloop.record.report import report_rows
 
     title = f"<b>{escape(repr(run).strip('<>'))}</b>"
-    told = [(str(name), str(value), str(unit)) for name, value, unit, _ in report_rows(run)] if len(run) else []
     lines = "".join(
         f"<tr><td style='text-align:left'>{escape(name)}</td><td>{escape(value)}</td>"
         f"<td style='text-align:left'>{escape(unit)}</td></tr>"
-        for name, value, unit in told
+        for name, value, unit, _ in (report_rows(run) if len(run) else ())
     )
-    verdict = run.summary()["verdict"]
-    said = _said("verdict", verdict)
-    control = _said("control", run.summary()["control_verdict"])
+    said, control = _said("verdict", run.summary()["verdict"]), _said("control", run.summary()["control_verdict"])
     picture = f"<div>{_picture(run)}</div>" if len(run) > 1 else ""
     return (
         f"<div>{title}<br>{escape(said)}<br>{escape(control)}</div>"
@@ -70,8 +67,7 @@ def _picture(run: Run) -> str:
     axes.set_ylabel("f [N]", fontsize=8)
     axes.tick_params(labelsize=7)
     axes.locator_params(nbins=4)
-    for side in ("top", "right"):
-        axes.spines[side].set_visible(False)
+    axes.spines[["top", "right"]].set_visible(False)
     text = io.StringIO()
     canvas: Any = FigureCanvasSVG(figure)
     canvas.print_svg(text, metadata={"Date": None})
@@ -133,8 +129,8 @@ def draw_figures(
         ("fig4_tip_position" if papers else "fig_tip_position", tip_position, run),
         ("fig5_contact_force" if papers else "fig_contact_force", contact_force, run),
         (bare if plain else "fig6_closure_error" if papers else "fig_closure_error", closure_error, run),
+        ("fig_force_control", force_control, run),
     ]
-    wanted.append(("fig_force_control", force_control, run))
     if not papers:
         wanted.append(("fig_joints", joints, run))
     idle: tuple[Callable[[Run], Figure], ...] = ()
@@ -199,9 +195,8 @@ def images(figure: Figure, formats: Sequence[str] = IMAGES) -> Images:
         figure.set_layout_engine(None)  # all is in its place: else each file would be laid out anew
     found = {}
     for suffix in formats:
-        metadata = METADATA[suffix]
         image = io.BytesIO()
-        figure.savefig(image, format=suffix[1:], metadata=metadata)
+        figure.savefig(image, format=suffix[1:], metadata=METADATA[suffix])
         found[suffix] = image.getvalue()
     return found
 

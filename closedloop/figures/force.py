@@ -451,8 +451,7 @@ def draw_closed(axes: Axes, run: Run, names: tuple[str, ...]) -> None:
     from matplotlib.patches import Patch
 
     closed = run.link_modes != FREE
-    order = np.argsort(-closed.sum(axis=0), kind="stable")[:MOST_ROWS]
-    rows = np.sort(order)
+    rows = np.sort(np.argsort(-closed.sum(axis=0), kind="stable")[:MOST_ROWS])
     for at, k in enumerate(rows):
         for mode, colour in ((STUCK, style.COLOURS[0]), (None, style.MANY[5])):
             now = closed[:, k] & ((run.link_modes[:, k] == STUCK) == (mode == STUCK))

@@ -228,8 +228,20 @@ def joints(run: Run, ax: Axes | Sequence[Axes] | None = None) -> Figure:
         units = " | ".join(dict.fromkeys(each))
         told = f"{title}, {_told(values, low, high, names, each, positions=name == 'q')}"
         style.dress(axes, run, told, f"{label} [{units}]", label_marks=axes is on[0], show_events=axes is on[-1])
-    _name_joints(figure, on[0], int(sum(not free for free in in_bodies(model, positions=False))))
+    handles, named_joints = on[0].get_legend_handles_labels()
+    grey = sum(not free for free in in_bodies(model, positions=False)) - len(named_joints)
+    others = f"; grey: {grey} others" if grey else ""
+    style.legend_outside(figure, "upper center", handles, 4, f"joints; limits dashed{others}", on[0])
     return style.finished(figure, on, run)
+
+
+# What moves across, or turns, by no more than this, m or rad, does not: it has no panel.
+AT_REST = 1e-9
+HEIGHT = "z [mm]"
+# Heights that change by less than this share of the way across are not drawn.
+FLAT = 1e-3
+# The axis of heights is at least so long, as a share of the longest way of a body.
+LEAST = 0.01
 
 
 def _position_limits(model: RobotModel) -> tuple[Array, Array]:
@@ -281,21 +293,6 @@ def _told(values: Array, low: Array, high: Array, names: tuple[str, ...], units:
     j = int(np.argmax(share))
     which = np.flatnonzero(known)[j]
     return f"up to {float(f'{100.0 * share[j]:.2g}'):g} % of a limit: {names[which]}, ±{high[which]:g} {units[which]}"
-
-
-def _name_joints(figure: Figure, axes: Axes, count: int) -> None:
-    handles, names = axes.get_legend_handles_labels()
-    others = "" if count == len(names) else f"; grey: {count - len(names)} others"
-    style.legend_outside(figure, "upper center", handles, 4, f"joints; limits dashed{others}", axes)
-
-
-# What moves across, or turns, by no more than this, m or rad, does not: it has no panel.
-AT_REST = 1e-9
-HEIGHT = "z [mm]"
-# Heights that change by less than this share of the way across are not drawn.
-FLAT = 1e-3
-# The axis of heights is at least so long, as a share of the longest way of a body.
-LEAST = 0.01
 
 
 def has_bodies(run: Run) -> bool:

@@ -225,8 +225,7 @@ def intervals(run: Run) -> list[Interval]:
     """Return the intervals of each contact mode; their bounds are the events' instants, between two rows."""
     changes = np.flatnonzero(np.diff(run.mode)) + 1
     bounds = [float(run.time[0]), *(_instant(run, int(k)) for k in changes), float(run.time[-1])]
-    modes = run.mode[[0, *changes]].tolist()
-    return [Interval(*each) for each in zip(modes, bounds, bounds[1:], strict=False)]
+    return [Interval(*each) for each in zip(run.mode[[0, *changes]].tolist(), bounds, bounds[1:], strict=False)]
 
 
 def _instant(run: Run, row: int) -> float:

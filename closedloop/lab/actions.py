@@ -63,8 +63,7 @@ def _reset(lab: Lab, client: Client, said: Said) -> None:
     if control is None:
         return
     if isinstance(index, int) and control.index == index:
-        began = lab.first_value(key, index)
-        lab.changed(key, [*control.value[:index], began, *control.value[index + 1 :]])
+        lab.changed(key, [*control.value[:index], lab.first.get((key, index)), *control.value[index + 1 :]])
         lab.refresh()
     else:
         lab.changed(key, None)
@@ -87,7 +86,7 @@ def _pin(lab: Lab, client: Client, said: Said) -> None:
     """Keep the run shown, or the latest pinned one no longer."""
     answer = lab.answer
     if said["do"] == "unpin":
-        lab.pins.remove_last()
+        del lab.pins.held[-1:]
     elif answer is None or answer.run is None:
         return
     elif lab.pins.add(answer.run, answer.changes) is None:

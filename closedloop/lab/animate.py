@@ -62,8 +62,8 @@ class Picture:
         self._ghosts = [
             (ghost, Solids([replace(s, joint=0) for s in ghost.shapes], COLOUR, OPACITY)) for ghost in scene.ghosts
         ]
-        self._arrows = {kind: self._line("-", ARROWS[kind], 2) for kind in scene.kinds}
-        self._done = self._line("-", PATH, 2)
+        self._arrows = {kind: self._line(ARROWS[kind]) for kind in scene.kinds}
+        self._done = self._line(PATH)
         wanted = run.reference_tip[:: max(1, len(run) // 400)]
         if np.ptp(wanted, axis=0).max() > 0.0:
             self._space.plot(*wanted.T, "--", color=WANTED, linewidth=1)
@@ -113,8 +113,8 @@ class Picture:
             part.draw(renderer)
         return np.array(self._canvas.buffer_rgba())
 
-    def _line(self, style: str, colour: Any, width: float, **more: Any) -> Any:
-        return self._space.plot([], [], [], style, color=colour, linewidth=width, **more)[0]
+    def _line(self, colour: Any) -> Any:
+        return self._space.plot([], [], [], "-", color=colour, linewidth=2)[0]
 
     def _title(self) -> str:
         run, scale = self.scene.run, f"10 N = {10.0 * self.scene.metres_per_newton:.2g} m"

@@ -139,7 +139,8 @@ class Lab:
         self.ghosts = ()
         self.answers = Answers(history, law, model, self.say, self._show_part)
         self.controls: dict[tuple[str, int | None], Control] = {}
-        self._first = {at: control.own for at, control in self._controls(history.base).items()}
+        # the value with which each key, or each entry of its list, began
+        self.first = {at: control.own for at, control in self._controls(history.base).items()}
 
     def _controls(self, scenario: Scenario) -> dict[tuple[str, int | None], Control]:
         law = self.answers.law
@@ -165,8 +166,7 @@ class Lab:
 
     def command(self, answer: Answer) -> str:
         """Return the command line that repeats the run of an answer."""
-        engine = "compiled" if answer.run is None else answer.run.engine
-        return self.history.command(answer.changes, engine)
+        return self.history.command(answer.changes, "compiled" if answer.run is None else answer.run.engine)
 
     def changed(self, key: str, value: Any) -> None:
         """Take a change of a key, None: back to where it began, and run the scenario with it."""
@@ -184,10 +184,6 @@ class Lab:
         self.ask(key)
         if more or value is None or ALL in key or name == "kind" or key == "surface.contact":  # others may show others
             self.refresh()
-
-    def first_value(self, key: str, index: int | None) -> Any:
-        """Return the value with which a key, or an entry of its list, began."""
-        return self._first.get((key, index))
 
     def open(self, name: str) -> None:
         """Go over to another scenario that ships."""
@@ -223,11 +219,11 @@ class Lab:
         """Send the controls as they are, and the command line that repeats the run."""
         history = self.history
         with self._lock:
-            groups = rows_in_groups(self.controls.values(), self._first, history.changes)
+            groups = rows_in_groups(self.controls.values(), self.first, history.changes)
         answer = self.answer
         message = {
-            "kind": "controls", "groups": groups, "undo": history.can_undo, "redo": history.can_redo, "forced": forced,
-            "changed": len(history.changes), "note": UNSAVED if history.name == IN_A_FILE else "",
+            "kind": "controls", "groups": groups, "undo": bool(history.past), "redo": bool(history.future),
+            "forced": forced, "changed": len(history.changes), "note": UNSAVED if history.name == IN_A_FILE else "",
         }  # fmt: skip
         if answer is not None and answer.run is not None:
             message |= {"command": self.command(answer), "scenario": answer.run.scenario.to_toml()}

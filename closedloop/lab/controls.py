@@ -61,8 +61,7 @@ def _value(scenario: Scenario, key: str, unit_name: str) -> Any:
     if key in BEGIN:
         return BEGIN[key]
     if key == "reference.direction":
-        normal = unit(scenario.surface.normal, "surface.normal")
-        return [float(x) for x in contact_frame(normal)[2].round(9)]
+        return [float(x) for x in contact_frame(unit(scenario.surface.normal, "surface.normal"))[2].round(9)]
     by_name = {
         "reference.stop": 0.8 * end, "reference.times": [0.1 * end, 0.8 * end],
         "reference.points": [[0.0, 0.0, 0.0], [0.0, 0.0, 0.0]],

@@ -121,8 +121,7 @@ def nearest_round(x: float) -> float:
     """Return the 1, 2 or 5 times a power of ten that is nearest to x > 0 on a logarithmic scale."""
     power = math.floor(math.log10(x))
     steps = [step * 10.0**p for p in (power, power + 1) for step in (1.0, 2.0, 5.0)]
-    best = steps[int(np.argmin([abs(math.log(step / x)) for step in steps]))]
-    return float(f"{best:.3g}")
+    return float(f"{min(steps, key=lambda step: abs(math.log(step / x))):.3g}")
 
 
 Tile = dict[str, Any]

@@ -103,12 +103,10 @@ def show_run(run: Run, path: str | Path | None = None) -> Path | Any:
         from IPython.display import HTML
 
         inside = html.escape(page_of(run), quote=True)
-        frame = f'<iframe srcdoc="{inside}" width="100%" height="{HEIGHT}" style="border:0"></iframe>'
-        return HTML(frame)  # type: ignore[no-untyped-call]
+        return HTML(f'<iframe srcdoc="{inside}" width="100%" height="{HEIGHT}" style="border:0"></iframe>')  # type: ignore[no-untyped-call]
     import webbrowser
 
-    folder = Path(tempfile.mkdtemp(prefix="closedloop-"))
-    page = share(run, folder / f"{run.scenario.name}.html")
+    page = share(run, Path(tempfile.mkdtemp(prefix="closedloop-")) / f"{run.scenario.name}.html")
     webbrowser.open(page.as_uri())
     return page
 
@@ -171,8 +169,8 @@ class History:
         now: Callable[[], float] = clock.monotonic,
     ) -> None:  # fmt: skip
         self.base, self.name, self.given, self.words = base, name, dict(given or {}), words
-        self._past: list[Changes] = []
-        self._future: list[Changes] = []
+        self.past: list[Changes] = []  # the steps back
+        self.future: list[Changes] = []  # and forward again
         self._now, self._last_key, self._last_time = now, "", -TOGETHER
         # which press of the pointer what follows belongs to, None: to none
         self.press: tuple[int, str] | int | None = None
@@ -186,35 +184,25 @@ class History:
         """
         now, held = self._now(), self.press is not None and self.press == self._last_press
         if key != self._last_key or not (held or now - self._last_time <= TOGETHER):
-            self._past = [*self._past[-MOST_STEPS:], self.changes]
-        self._last_key, self._last_time, self._last_press, self._future = key, now, self.press, []
+            self.past = [*self.past[-MOST_STEPS:], self.changes]
+        self._last_key, self._last_time, self._last_press, self.future = key, now, self.press, []
         for each, its_value in {key: value, **(more or {})}.items():
             self.changes = with_change(self.changes, each, its_value)
         return self.changes
 
     def set_all(self, changes: Changes) -> Changes:
         """Take over other changes, as one step, and return them."""
-        self._past, self._future, self._last_key = [*self._past[-MOST_STEPS:], self.changes], [], ""
+        self.past, self.future, self._last_key = [*self.past[-MOST_STEPS:], self.changes], [], ""
         self.changes = dict(changes)
         return self.changes
 
-    @property
-    def can_undo(self) -> bool:
-        """Whether there is a step back."""
-        return bool(self._past)
-
-    @property
-    def can_redo(self) -> bool:
-        """Whether there is a step forward."""
-        return bool(self._future)
-
     def undo(self) -> bool:
         """Go a step back; return whether there was one."""
-        return self._move(self._past, self._future)
+        return self._move(self.past, self.future)
 
     def redo(self) -> bool:
         """Go a step forward again; return whether there was one."""
-        return self._move(self._future, self._past)
+        return self._move(self.future, self.past)
 
     def _move(self, source: list[Changes], other: list[Changes]) -> bool:
         self._last_key = ""
@@ -326,11 +314,6 @@ class Pins:
         pin = Pin(f"pin {self._count}", colour, dict(changes), run, tuple(panels(run)))
         self.held.append(pin)
         return pin
-
-    def remove_last(self) -> None:
-        """Keep the latest no longer."""
-        if self.held:
-            self.held.pop()
 
 
 def compared(pins: Sequence[Pin], run: Run, changes: Changes) -> list[tuple[str, list[str]]]:

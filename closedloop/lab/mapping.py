@@ -80,8 +80,7 @@ class Axis:
         """Return the key's value at a place on the axis, 0 to 1: one that its slider can show."""
         place = min(max(share, 0.0), 1.0) * self.values.size - 0.5
         scale = np.log10 if self.control.form == "log" else np.asarray
-        shown = np.interp(place, np.arange(self.values.size), scale(self.values))
-        value = self.control.read(float(shown))
+        value = self.control.read(float(np.interp(place, np.arange(self.values.size), scale(self.values))))
         return self.control.together(value) if self.together else value
 
     def value(self, cell: int) -> Any:

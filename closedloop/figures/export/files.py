@@ -102,7 +102,8 @@ def _write(run: Run, file: BinaryIO) -> None:
 
     if run.model.format == "urdf":
         send("/robot_description", "std_msgs/msg/String", {"data": run.model.text}, 0.0)
-    base, scene = _base_frame(run), scene_of(run)
+    frames = list(run.model.pinocchio_model().frames)[1:]
+    base, scene = str(next((frame.name for frame in frames if frame.parentJoint == 0), "base")), scene_of(run)
     reactions = list(_reactions(run))
     names, q = list(run.model.joint_names), loop_positions(run)
     nothing, unturned = {"x": 0.0, "y": 0.0, "z": 0.0}, {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}
@@ -179,12 +180,6 @@ def _turn(axes: Any) -> dict[str, float]:
 
 def _listed(parts: dict[str, Any]) -> dict[str, Any]:
     return {name: part.tolist() if isinstance(part, np.ndarray) else part for name, part in parts.items()}
-
-
-def _base_frame(run: Run) -> str:
-    """Return the name of the robot's root link."""
-    model = run.model.pinocchio_model()
-    return str(next((frame.name for frame in list(model.frames)[1:] if frame.parentJoint == 0), "base"))
 
 
 # Of metadata.yaml: the version that ROS 2 Humble and all later ones read.

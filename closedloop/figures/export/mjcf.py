@@ -158,21 +158,14 @@ def check_joined(scene: Scene) -> None:
                 "use --to csv or --to mcap"
             )
     for section, touching in zip(scene.run.scenario.contact or (), scene.touching, strict=True):
-        if section.half_axes is not None:
-            raise ScenarioError(
-                f"--to mjcf: contact {touching.name!r} is of an ellipsoid or the edge of a disc, and only points and "
-                "balls are written; use --to csv or --to mcap"
-            )
-        if has_other_law(section):
-            raise ScenarioError(
-                f"--to mjcf: contact {touching.name!r} has a law of friction that MuJoCo does not have; "
-                "use --to csv or --to mcap"
-            )
-        if touching.surface is not None:
-            raise ScenarioError(
-                f"--to mjcf: contact {touching.name!r} has a surface that is curved or moves, and only planes at rest "
-                "are written; use --to csv or --to mcap"
-            )
+        faults = {
+            "is of an ellipsoid or a disc's edge, and only points and balls are written": section.half_axes is not None,
+            "has a law of friction that MuJoCo does not have": has_other_law(section),
+            "has a surface that is curved or moves, and only planes at rest are written": touching.surface is not None,
+        }
+        for what, wrong in faults.items():
+            if wrong:
+                raise ScenarioError(f"--to mjcf: contact {touching.name!r} {what}; use --to csv or --to mcap")
 
 
 def add_joined_parts(body: ElementTree.Element, joint: int, scene: Scene, mechanism: Any) -> None:

@@ -69,7 +69,6 @@ def robot_shapes(model: RobotModel, tip: str) -> tuple[Shape, ...]:
 
 def _visuals(model: RobotModel, mechanism: Any) -> list[Shape]:
     """Return the shapes that a URDF gives; none if it gives none that can be read."""
-    import pinocchio as pin
     from yourdfpy import URDF
 
     options = {"build_scene_graph": False, "load_meshes": False}
@@ -158,8 +157,7 @@ def _read(file: Path, scale: tuple[float, float, float]) -> list[tuple[trimesh.T
         return []
     total, found = sum(len(part.faces) for part in parts), []
     for part in parts:
-        material = getattr(part.visual, "material", None)
-        main = getattr(material, "main_color", None)
+        main = getattr(getattr(part.visual, "material", None), "main_color", None)
         colour = None if main is None else tuple(float(c) / 255.0 for c in main[:3])
         bare = trimesh.Trimesh(part.vertices * np.array(scale), part.faces, process=True)
         found.append((_reduced(bare, max(60, MOST_TRIANGLES * len(part.faces) // total)), colour))

@@ -94,7 +94,10 @@ def clearance(run: Record) -> Clearance | None:
     if np.isfinite(nearest[0]):
         low, high = rows[max(nearest[1] - 1, 0)], rows[min(nearest[1] + 1, len(rows) - 1)]
         near = _some(known[(known >= low) & (known <= high)], 4 * MOST_ROWS)
-        found.append(_nearest_of(run, mechanism, near, pairs[nearest[2]]))
+        one, other = pairs[nearest[2]]
+        distances = [_distance(one, other, pose) for pose in _poses(run, mechanism, near)]
+        k = int(np.argmin(distances))
+        found.append(Clearance(distances[k], float(run.time[near[k]]), (one.link, other.link)))
     return min((each for each in found if each is not None), key=lambda each: each.distance, default=None)
 
 
@@ -157,10 +160,10 @@ def _poses(run: Record, mechanism: Any, rows: NDArray[Any]) -> Array:
 
 def _pairs(run: Record, mechanism: Any, solids: tuple[Solid, ...]) -> list[tuple[Solid, Solid]]:
     """Return the shapes that are compared."""
-    touching = set()
-    for section in run.scenario.contact or ():
-        joints = [placed_frame(mechanism, name)[0] for name in (section.link, section.against)]
-        touching.add(frozenset(joints))
+    touching = {
+        frozenset(placed_frame(mechanism, name)[0] for name in (section.link, section.against))
+        for section in run.scenario.contact or ()
+    }
     parents = [int(parent) for parent in mechanism.parents]
     found = []
     for a, b in combinations(solids, 2):
@@ -221,8 +224,7 @@ def _holds(solid: Solid, pose: Array, point: Array) -> bool:
     place = pose[solid.joint] @ solid.place
     there, at = coal.Transform3s(place[:3, :3], place[:3, 3]), coal.Transform3s(np.eye(3), point)
     ball, ask = coal.Sphere(TOUCHING), coal.DistanceRequest()
-    found = coal.distance(solid.made, there, ball, at, ask, coal.DistanceResult())
-    return float(found) < TOUCHING
+    return float(coal.distance(solid.made, there, ball, at, ask, coal.DistanceResult())) < TOUCHING
 
 
 def _lowest(shape: CollisionShape, n: Array) -> Array:
@@ -277,10 +279,3 @@ def _distance(a: Solid, b: Solid, pose: Array) -> float:
         place = pose[solid.joint] @ solid.place
         placed += [solid.made, coal.Transform3s(place[:3, :3], place[:3, 3])]
     return float(coal.distance(*placed, coal.DistanceRequest(), coal.DistanceResult()))
-
-
-def _nearest_of(run: Record, mechanism: Any, rows: NDArray[Any], pair: tuple[Solid, Solid]) -> Clearance:
-    """Return the least distance of two shapes in these rows."""
-    distances = [_distance(*pair, pose) for pose in _poses(run, mechanism, rows)]
-    k = int(np.argmin(distances))
-    return Clearance(distances[k], float(run.time[rows[k]]), (pair[0].link, pair[1].link))

@@ -217,11 +217,6 @@ def _plain(value: Any) -> str | int | float | None:
 
 def package_versions() -> dict[str, str]:
     """Return the versions of Python and of the packages whose arithmetic a run depends on."""
-    return dict(_package_versions())
-
-
-@cache
-def _package_versions() -> dict[str, str]:
     names = ("closedloop", "pin", "numpy", "numba", "llvmlite")
     return {"python": sys.version.split()[0]} | {name: _version(name) for name in names}
 
@@ -343,8 +338,7 @@ def save_run(run: Record, path: str | Path) -> Path:
         names = labels_of(run.scenario.contact)
         labels |= {"contact": ("contact", names), "contact_tangent": ("contact_tangent", tangents_of(names))}
         for name, (whole, k) in columns_by_contact(run.scenario.contact).items():  # again, each by its contact's name
-            told = variables[whole].attributes
-            variables[name] = Variable(("time",), run.columns[whole][:, k], told)
+            variables[name] = Variable(("time",), run.columns[whole][:, k], variables[whole].attributes)
     for name, (dimension, words) in labels.items():
         variables[name] = Variable((dimension,), np.array(words, dtype=object))
     dimensions = {"time": len(run), "joint": run.model.n, "axis": 3, "event": len(run.events)}

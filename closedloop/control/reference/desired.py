@@ -335,5 +335,4 @@ def desired(
         refuse_without_normal(surface, tip)
         refuse_beyond_edge(surface, tip)
         refuse_tool_too_large(surface, tip, radius)
-    held = orientation_of(reference.orientation, axis, robot, q, surface)
-    return Motion(tip, follow(robot, q, tip, held))
+    return Motion(tip, follow(robot, q, tip, orientation_of(reference.orientation, axis, robot, q, surface)))

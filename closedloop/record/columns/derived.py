@@ -108,7 +108,7 @@ def _of_contacts(run: Record, robot: Robot) -> Array:
             of_tip[k] = robot.frame_jacobian(run.q[k])[3:].T @ moment
     model, q = without_tools(robot.model).pinocchio_model(), robot.pinocchios(run.q)
     if run.scenario.external_force:
-        axes, origins, jacobians = touching.frames_in_rows(model, q, list(range(1, model.njoints)))
+        axes, origins, jacobians = touching.frames_in_rows(model, q)
         for link, place, wrench in touching.external_wrenches(run, model, robot.tip, axes, origins):
             of_tip += np.einsum("kij,ki->kj", jacobians[link], touching.moved_wrench(wrench, place - origins[:, link]))
     if not run.scenario.contact:
@@ -125,9 +125,7 @@ def wrist_wrench(run: Record) -> Array:
     force, moment = tip_force(run), tip_moment(run)
     if any(section.link is None for section in run.scenario.external_force or ()):
         mechanism = without_tools(robot.model).pinocchio_model()
-        axes, origins, _ = touching.frames_in_rows(
-            mechanism, robot.pinocchios(run.q), list(range(1, mechanism.njoints))
-        )
+        axes, origins, _ = touching.frames_in_rows(mechanism, robot.pinocchios(run.q))
         outside = touching.external_wrenches(run, mechanism, robot.tip, axes, origins)
         for section, (_, place, wrench) in zip(run.scenario.external_force or (), outside, strict=True):
             if section.link is None:
@@ -349,7 +347,7 @@ def face_wrench(run: Record, name: str) -> Array:
     numbers = numbers_of(run.scenario, name)
     robot = robot_of(run.scenario, without_tools(run.model))
     mechanism = robot.passes[3]
-    axes, origins, _ = touching.frames_in_rows(mechanism, robot.pinocchios(run.q), list(range(1, mechanism.njoints)))
+    axes, origins, _ = touching.frames_in_rows(mechanism, robot.pinocchios(run.q))
     contacts = touching.contacts_of(run.scenario, mechanism)
     first = contacts[numbers[0]]
     middle = np.mean([contacts[k].point for k in numbers], axis=0)
@@ -390,7 +388,7 @@ def joint_wrench(run: Record, joint: str, frame: str = JOINT) -> Array:
     bare = without_tools(robot.model).pinocchio_model()  # whose frames no tool moves
     number = mechanism.getJointId(joint)
     q, outside = robot.pinocchios(run.q), np.zeros((len(run), mechanism.njoints, 6))
-    axes, origins, _ = touching.frames_in_rows(mechanism, q, list(range(1, mechanism.njoints)))
+    axes, origins, _ = touching.frames_in_rows(mechanism, q)
     tip, force = mechanism.frames[mechanism.getFrameId(robot.tip)].parentJoint, tip_force(run)
     about = np.cross(run.position - origins[:, tip], force) + tip_moment(run)
     outside[:, tip] += np.concatenate([force, about], axis=1)

@@ -192,11 +192,13 @@ def external_wrenches(
         yield link, origins[:, link] + axes[:, link] @ (origin + rotation @ np.array(at)), share[:, None] * wrench
 
 
-def frames_in_rows(mechanism: Any, q: Array, frames: list[int]) -> tuple[Array, Array, dict[int, Array]]:
-    """Return the axes (N, n + 1, 3, 3) and origins (N, n + 1, 3), m, of these joints' frames in N rows, and their
+def frames_in_rows(mechanism: Any, q: Array, some: list[int] | None = None) -> tuple[Array, Array, dict[int, Array]]:
+    """Return the axes (N, n + 1, 3, 3) and origins (N, n + 1, 3), m, of some or all joints' frames in N rows, and their
     Jacobians (N, 6, n); the base has its own, the others zeros.
     """
     import pinocchio as pin
+
+    frames = list(range(1, mechanism.njoints)) if some is None else some
 
     data = mechanism.createData()
     axes, origins = np.zeros((len(q), mechanism.njoints, 3, 3)), np.zeros((len(q), mechanism.njoints, 3))

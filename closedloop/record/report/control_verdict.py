@@ -301,8 +301,7 @@ def _path(s: Signals, unknown: list[str]) -> list[Problem]:
     square = np.einsum("ij,ij->i", s.off, s.off) * s.led
     if np.max(square) <= (0.5 * PATH_FLOOR) ** 2 or not np.any(s.led):
         return []  # neither RMS nor a swing can reach its bound
-    extent = float(np.max(np.linalg.norm(s.tip - s.tip[0], axis=1)))
-    bound = max(PATH_FLOOR, PATH_SHARE * extent)
+    bound = max(PATH_FLOOR, PATH_SHARE * float(np.max(np.linalg.norm(s.tip - s.tip[0], axis=1))))
     problems, error = [], float(np.sqrt(np.sum(square) / np.count_nonzero(s.led)))
     if not error <= bound:
         worst = int(np.argmax(square))

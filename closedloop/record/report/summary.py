@@ -168,9 +168,11 @@ def summarise(run: Record) -> dict[str, Any]:
     held = assumptions(run, values)
     facts = _facts(run, values, joints, held)
     problems = judge(facts, lambda: run_gains_fault(run))
+    limited = limited_joints(run.model.joint_names, joints["torque_limited_share"], joints["torque_limited_at"])
+    of_control, not_known = judge_control(run_signals(run), limited, run.stopped)
     return {
         "verdict": {"good": not problems, "problems": problems},
-        "control_verdict": _control(run, joints),
+        "control_verdict": {"good": not of_control, "problems": of_control, "not_known": not_known},
         "scenario": run.scenario.name,
         "robot": run.model.name,
         "law": run.law,
@@ -212,14 +214,6 @@ def _unresolved(run: Record) -> list[str]:
 
     lines = modes.unresolved(run.scenario, robot, run.q[0], run.surface_normal[0], depth, sliding, own_law, pressed)
     return lines if own_law else lines + modes.unresolved_feedback(run.scenario, robot)
-
-
-def _control(run: Record, joints: dict[str, Array]) -> dict[str, Any]:
-    """Return the verdict of the control, and what of it is not known."""
-    shares, since = joints["torque_limited_share"], joints["torque_limited_at"]
-    limited = limited_joints(run.model.joint_names, shares, since)
-    problems, unknown = judge_control(run_signals(run), limited, run.stopped)
-    return {"good": not problems, "problems": problems, "not_known": unknown}
 
 
 def _loops(run: Record) -> dict[str, dict[str, float]]:
@@ -305,5 +299,4 @@ def energy_balance(run: Record) -> tuple[Array, Array]:
     scale.start_energy, scale.start_supplied = run.kinetic_energy[0] + run.potential_energy[0], run.energy_supplied[0]
     left = interpreted(energy_left)(row, run.potential_energy, scale)
     power = np.abs(interpreted(torque_power)(row, n))
-    exchanged = np.cumsum(0.5 * (power[1:] + power[:-1]) * np.diff(run.time))
-    return left, np.concatenate([[0.0], exchanged])
+    return left, np.concatenate([[0.0], np.cumsum(0.5 * (power[1:] + power[:-1]) * np.diff(run.time))])

@@ -40,5 +40,4 @@ class FigureEight(Path):
 def _length(width: float, height: float) -> float:
     """Return the length of one turn, m: the trapezium rule, which a periodic smooth integrand makes exact quickly."""
     angles = 2 * math.pi / 256 * np.arange(256)
-    speed = np.hypot(0.5 * width * np.cos(angles), height * np.cos(2 * angles))
-    return 2 * math.pi * float(np.mean(speed))
+    return 2 * math.pi * float(np.mean(np.hypot(0.5 * width * np.cos(angles), height * np.cos(2 * angles))))

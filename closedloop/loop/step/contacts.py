@@ -48,7 +48,6 @@ from closedloop.mechanics.contacts.memory import (
     joints_of,
     joints_rub,
 )
-from closedloop.mechanics.contacts.mobility import force_size
 from closedloop.mechanics.contacts.modes import closed_depth, decide, open_margin, touches
 from closedloop.mechanics.contacts.resistance import has_resistance, is_resistance
 from closedloop.mechanics.contacts.rolling import longest_roll, rest_on_feet, rim_margin, rolls, shapes_at
@@ -62,11 +61,9 @@ from closedloop.mechanics.limits import (
     CLOSED,
     FADED,
     HOVERING,
-    MOST_GROWTH,
     MOST_OF,
     QUARTER,
     RESTING,
-    SLIGHT,
     STICK_SPEED,
     STILL,
     TOUCHING,
@@ -247,9 +244,7 @@ def contact_forces(links: ContactLinks, c: Contacts, w: Work, constants: Constan
                 -c.problem.along[0, 1],
             )  # of a contact that pulls friction is μ|f|
             status = solve_modes(links, c)
-        if c.problem.sought != 0.0:
-            c.problem.sought = 0.0
-            c.problem.borne = min(MOST_GROWTH * c.problem.beyond, SLIGHT * force_size(c.rigid[: 3 * k]))
+        c.problem.sought = 0.0
         begins, fixed = state.begins != 0 and w.time > 0.0, state.settings.adaptive == 0
         points = fixed and links.shapes == 0
         if status == OK:

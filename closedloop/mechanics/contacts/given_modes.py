@@ -53,6 +53,7 @@ from closedloop.mechanics.limits import (
     DEPENDENT,
     EXACT,
     FOUND,
+    MOST_GROWTH,
     REFINEMENTS,
     SAME_DIRECTION,
     SLIGHT,
@@ -397,14 +398,16 @@ def share_forces(links: ContactLinks, c: Contacts) -> None:
     as it was, with forces outside, until the end of the modes is located. Normal forces that are known keep theirs, and
     so does what goes with them.
     """
-    k, most = links.k, SLIGHT * force_size(c.rigid) if c.problem.sought != 0.0 else c.problem.borne
+    k, size = links.k, force_size(c.rigid)
     for r in range(3 * k):
         c.scratch.trial[r], c.scratch.best[r] = c.F[r] - c.rigid[r], c.rigid[r]
     for i in range(k):
         c.scratch.mu[i] = c.problem.form[i]
         c.problem.form[i] = OFF if is_known(links, c, i) else c.problem.form[i]
     c.problem.beyond = find_inside(links, c, 0, c.rigid)
-    if c.problem.beyond > max(c.problem.rounding, most):
+    if c.problem.sought != 0.0:
+        c.problem.borne = min(MOST_GROWTH * c.problem.beyond, SLIGHT * size)
+    if c.problem.beyond > max(c.problem.rounding, c.problem.borne):
         for r in range(3 * k):
             c.rigid[r] = c.scratch.best[r]
     elif find_inside(links, c, 1, c.F) > 0.0:

@@ -60,7 +60,7 @@ def apply_impulses(links: ContactLinks, c: Contacts, rest_speed: float) -> int:
         if c.friction.pulls[i] == 0.0 and c.problem.form[i] != OFF and c.mode[i] == FREE and c.u[3 * i] < -resting:
             coming, c.event.struck[i] = coming + 1, 1.0
     if coming == 0:
-        let_stay(links, c, -1.0)
+        let_stay(links, c, rest_speed, False)
         return OK
     if not (solve_with(links, c, 1.0, rest_speed) and energy_gained(c, k) <= 0.0):
         c.event.restitution_share = lessened_restitution(links, c, rest_speed)
@@ -78,16 +78,16 @@ def apply_impulses(links: ContactLinks, c: Contacts, rest_speed: float) -> int:
             c.mode[i], c.gaps.cleared[i], c.gaps.floor[i] = FREE, 1.0, min(c.located[3 * i], 0.0)
         elif c.mode[i] == FREE:
             c.mode[i] = PRESSED
-    let_stay(links, c, rest_speed)
+    let_stay(links, c, rest_speed, True)
     return OK
 
 
 @kernel
-def let_stay(links: ContactLinks, c: Contacts, rest_speed: float) -> None:
+def let_stay(links: ContactLinks, c: Contacts, rest_speed: float, strikes: bool) -> None:
     """Take from contacts that others have made part, too slowly to leave, what they part with; write the energy lost.
 
     A body that rocks so slowly is at rest: what is left of its turning would decide how its feet slip. Where none
-    strikes, `rest_speed` is negative: nothing moves against its mode, by which others would seem to part.
+    `strikes` nothing moves against its mode after it, by which others would seem to part.
     """
     k, fastest, struck = links.k, 0.0, -energy_gained(c, links.k)
     for i in range(k):
@@ -96,7 +96,8 @@ def let_stay(links: ContactLinks, c: Contacts, rest_speed: float) -> None:
         if stays:
             fastest = max(fastest, c.problem.after[3 * i])
         slip = math.hypot(c.problem.after[3 * i + 1], c.problem.after[3 * i + 2])
-        rests = c.mode[i] == STUCK if rest_speed < 0.0 else slip <= own_rest_speed(c, i, rest_speed) and c.mu[i] > 0.0
+        slow = slip <= own_rest_speed(c, i, rest_speed) and c.mu[i] > 0.0
+        rests = slow if strikes else c.mode[i] == STUCK
         stays = stays and not is_resistance(c, i)  # it may roll on
         if not pulls:
             c.problem.form[i] = OFF if not stays else (CONE if rests else RAY)

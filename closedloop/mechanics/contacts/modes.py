@@ -111,7 +111,7 @@ def decide(links: ContactLinks, c: Contacts, slow: float) -> int:
             found = solve_contacts(links, c, 1.0, WEDGED, c.step.follows != 0.0)
     if not found:
         return PAINLEVE
-    c.problem.sought = 1.0
+    c.problem.sought, c.problem.borne = 1.0, 0.0
     nothing = max(VANISHING * size, c.stepping.residual * c.stepping.asked)
     for i in range(links.joints):
         if c.friction.pulls[i] == 0.0 or stops_slipping(c, i):

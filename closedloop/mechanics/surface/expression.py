@@ -16,6 +16,7 @@ instructions, each of which is the result of one operation on the results before
 
 import ast
 import math
+import threading
 import warnings
 from collections.abc import Callable
 from typing import Any
@@ -37,6 +38,8 @@ FUNCTIONS = {
 INSTRUCTION, NUMBERS = 4, 10
 # Beyond it exp overflows.
 LARGEST_EXPONENT = 700.0
+# Python 3.11 counts the depth of what all threads parse in one place, and fails where two do (CPython issue 106905).
+_parsing = threading.Lock()
 
 
 @kernel
@@ -280,7 +283,7 @@ def instructions(text: str) -> tuple[float, ...]:
     if len(text) > LONGEST:
         raise ValueError(f"is too long: it has more than {LONGEST} characters")
     try:
-        with warnings.catch_warnings():
+        with _parsing, warnings.catch_warnings():
             warnings.simplefilter("ignore")
             node = ast.parse(text.strip(), mode="eval").body
         tape = _Tape()

@@ -1,6 +1,9 @@
 """A surface given by a formula: exact derivatives, the same runs as a surface written by hand, and what is refused."""
 
+import gc
 import math
+import time
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -52,6 +55,24 @@ def test_equal_parts_are_computed_once():
     """(x − y)³ with its factor written three times takes two products."""
     assert instructions("(x - y)*(x - y)*(x - y)")[0] == 2 + 1 + 2
     assert instructions("x + x*0.5 - x")[0] == 1 + 3
+
+
+def test_threads_read_formulas_at_once():
+    """A batch does: Python 3.11 fails where another thread parses while one does, as when garbage is collected."""
+    text = " + ".join(f"sin({k}*x)*(z - {k})" for k in range(9))
+    expected, before = instructions(text), gc.get_threshold()
+
+    def pause(phase: str, info: object) -> None:
+        time.sleep(0)  # lets another thread run
+
+    gc.callbacks.append(pause)
+    gc.set_threshold(20)
+    try:
+        with ThreadPoolExecutor(4) as pool:
+            assert all(found == expected for found in pool.map(instructions, [text] * 40))
+    finally:
+        gc.set_threshold(*before)
+        gc.callbacks.remove(pause)
 
 
 def test_where_there_is_no_value_there_is_none():

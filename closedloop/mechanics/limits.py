@@ -83,8 +83,6 @@ OFF_SURFACE = limit(
 HOVERING = limit(
     "HOVERING", 1e-9, "m", "a contact whose gap is less may be about to close; more than the stabiliser leaves"
 )
-DEEP = limit("DEEP", 4e-10, "m", "a step of rk4 that leaves a closed contact deeper is taken again in halves")
-DEEPENS = limit("DEEPENS", 5e-11, "m", "a step that deepens a contact by no more is not taken again for it")
 SINKING = limit("SINKING", 8e-10, "m", "by which a contact sinks, from where it has parted, until it touches again")
 SUNK = limit("SUNK", 9.8e-10, "m", "the depth at which a contact that has parted touches again at the latest")
 DEEPER = limit("DEEPER", 1e-11, "m", "by which a contact that has parted below SUNK sinks until it touches again")
@@ -100,8 +98,6 @@ RAPID = limit("RAPID", 1e-12, "s", "events that follow each other within this ar
 BREAKING_AWAY = limit(
     "BREAKING_AWAY", 1e-9, "s", "in which a slip that begins takes its direction where the integrator chooses its steps"
 )
-SHORTEST_GROWTH = limit("SHORTEST_GROWTH", 1e-8, "s", "no step is halved further because forces multiply")
-SHORTEST_HALF = limit("SHORTEST_HALF", 1e-5, "s", "no step is halved further because contacts sink or slips turn")
 TIME_STEP_SPAN = limit("TIME_STEP_SPAN", 2e-5, "s", "length of a step of impulses among modes")
 OWN_STEP = limit("OWN_STEP", 1e-3, "s", "discs see an integrator that chooses its steps as if they were so long")
 
@@ -173,5 +169,3 @@ MAX_IN_STEP = limit(
     "MAX_IN_STEP", 2000, "", "events in a step after which modes are not sought any more: a bounce at e = 0.99 has 900"
 )
 OUTPACED = limit("OUTPACED", 100, "", "events that each row takes off that count")
-MOST_TURNS = limit("MOST_TURNS", 50, "", "halvings of a step in which slips turn")
-MOST_HALVINGS = limit("MOST_HALVINGS", 200, "", "of a step in which forces multiply: where they jump none helps")

@@ -67,13 +67,13 @@ from closedloop.loop.events.locate import (
 )
 from closedloop.loop.events.substep import (
     advance_friction,
+    begin_anew,
     check_stage,
     check_step,
     end_before_stage,
     finish_stage,
     restore_state,
     save_state,
-    take_in_halves,
 )
 from closedloop.loop.events.transitions import apply_event, apply_impact, resume_after_event
 from closedloop.loop.step.advance import advance, advance_decaying, advance_on_manifold, keep_decays, move
@@ -277,12 +277,10 @@ def proceed(
         w.search.value = event_function(w, constants, state)
         todo = check_step(w, w.tip.drift_c[0], state)
         if todo == BEGIN_SUBSTEP:
-            todo = take_in_halves(w, constants, state, todo)
+            todo = begin_anew(w, state, todo)
         if todo == BEGIN_SUBSTEP and phase == PART_END:
             commit_work(w)
             w.length = state.row * constants.h - w.time
-            if state.trial.halvings > 0:
-                w.length = min(w.length, 2.0 * w.search.tau)  # halvings have found what is resolved
         elif todo == BEGIN_SUBSTEP:
             commit_work(w)
             if state.row == 0:
@@ -293,7 +291,6 @@ def proceed(
                 return DONE
             state.row += 1
             state.event.in_step, state.after_event = max(state.event.in_step - OUTPACED, 0), 0
-            state.trial.halvings = 0
             w.length = constants.h
         if todo == RETRY_SUBSTEP and state.settings.hold > 0 and state.sampled != 0:
             for j in range(w.torque.shape[0]):
@@ -305,7 +302,7 @@ def proceed(
         if state.coupled != 0 and w.contacts.margin <= NO_FORCES:
             todo = end_before_stage(w, state)
         elif todo == ADVANCE:
-            todo = take_in_halves(w, constants, state, todo)
+            todo = begin_anew(w, state, todo)
     elif phase == TRIAL_END:
         w.search.value = event_function(w, constants, state)
         todo = refine_bracket(w, state)

@@ -30,7 +30,7 @@ from closedloop.loop.events.locate import (
     request_terms,
 )
 from closedloop.loop.events.table import REVERSAL, SLIP_AGAIN, STICK
-from closedloop.loop.step.contacts import ADVANCE_FRICTION, SAVE, force_over_load, slips_turn
+from closedloop.loop.step.contacts import ADVANCE_FRICTION, SAVE, force_over_load
 from closedloop.loop.step.energy_supplied import save_power
 from closedloop.loop.step.evaluate import SPEED_LIMIT
 from closedloop.loop.step.joint_friction import advance_joint_friction
@@ -39,13 +39,10 @@ from closedloop.loop.step.solve_contact import near_singular, remember_approach
 from closedloop.mechanics.closure.contact_force import FREE, PRESSED
 from closedloop.mechanics.closure.solve import CHATTER, CROWDED, DIVERGED, OK, RUBS
 from closedloop.mechanics.contacts.memory import contacts_at
-from closedloop.mechanics.contacts.modes import closed_depth
 from closedloop.mechanics.contacts.rolling import shapes_at, some_stand
 from closedloop.mechanics.friction.answers import ADVANCE_STATES
 from closedloop.mechanics.limits import (
     CLOSED_GAP,
-    DEEP,
-    DEEPENS,
     FAST,
     HIGH,
     HOVERING,
@@ -53,13 +50,9 @@ from closedloop.mechanics.limits import (
     LARGEST_TURN,
     MAX_IN_STEP,
     MOST_GROWTH,
-    MOST_HALVINGS,
-    MOST_TURNS,
     QUARTER,
     RAPID,
     RESTING,
-    SHORTEST_GROWTH,
-    SHORTEST_HALF,
     TOUCHING,
 )
 from closedloop.mechanics.loops.memory import loops_at, tree_at
@@ -150,33 +143,19 @@ def nothing_earlier(state: State) -> bool:
 
 
 @kernel
-def take_in_halves(w: Work, constants: Constants, state: State, todo: int) -> int:
-    """Return RETRY_SUBSTEP, with half the length, if contacts sink, slips turn or forces multiply in it; else `todo`.
+def begin_anew(w: Work, state: State, todo: int) -> int:
+    """Return NEED_TERMS, to begin a time step instead of this substep, if forces multiply in it; else `todo`.
 
-    At a stage, where `todo` is not BEGIN_SUBSTEP, only slips and forces count. Without a stabiliser contacts sink all
-    the time, which does not count. Where forces multiply after all halvings a time step goes on.
+    Friction drives them without bound on the way to Painlevé's paradox: impulses have one.
     """
     if state.coupled == 0 or nothing_earlier(state) or state.settings.stages == 1 or state.settings.adaptive != 0:
         return todo
     links, c = contacts_at(state.contacts.at)
-    if links.shapes != 0:  # the point of another shape wanders: its gap is no measure of the error of a step
+    if links.shapes != 0 or links.stepped != 0:  # rows of shapes change along a step, and their forces with them
         return todo
-    ends = todo == BEGIN_SUBSTEP
-    depth = closed_depth(links, c)
-    sinks = ends and constants.s_p > 0.0 and depth < -DEEP and depth < w.start.depth - DEEPENS
-    turns = not ends and slips_turn(links, c, state.stage) and state.trial.halvings < MOST_TURNS
-    grown = force_over_load(links, c) > max(HIGH, MOST_GROWTH * w.start.force_over_load)
-    multiplies = links.stepped == 0 and grown
-    if not ((sinks or turns or multiplies) and w.search.tau > (SHORTEST_GROWTH if multiplies else SHORTEST_HALF)):
+    if not force_over_load(links, c) > max(HIGH, MOST_GROWTH * w.start.force_over_load):
         return todo
     state.trial.purpose = NO_TRIAL
-    if state.trial.halvings < MOST_HALVINGS:
-        state.trial.halvings += 1
-        w.length = 0.5 * w.search.tau
-        w.search.tau, state.divided = w.length, 1
-        return RETRY_SUBSTEP
-    if not multiplies:
-        return todo
     restore_state(w, state)
     w.time = w.start.time
     links.undecided, links.chattering, state.striking = 1, 2, -1

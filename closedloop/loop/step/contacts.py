@@ -67,7 +67,6 @@ from closedloop.mechanics.limits import (
     STICK_SPEED,
     STILL,
     TOUCHING,
-    TURNED,
     WEDGED,
 )
 
@@ -111,7 +110,7 @@ def contacts_in_step(address: int, what: int) -> int:
         c.step.begun = 1.0 * links.stepped
         if state.settings.time_stepping == 0:
             save_contacts(links, c)
-            w.start.depth, w.start.force_over_load = closed_depth(links, c), force_over_load(links, c)
+            w.start.force_over_load = force_over_load(links, c)
         if state.coupled != 0 and state.settings.unilateral != 0:
             state.past_edge = int(c.past_edge[0])
     elif what == PLACE:
@@ -429,23 +428,6 @@ def force_over_load(links: ContactLinks, c: Contacts) -> float:
         if c.mode[i] == PRESSED and c.mu[i] > 0.0:
             slides = 1.0
     return float(slides * largest * most / asked) if asked > 0.0 else 0.0
-
-
-@kernel
-def slips_turn(links: ContactLinks, c: Contacts, stage: int) -> bool:
-    """Whether the slips at both stages of rk4 in the middle of a substep differ by a share of themselves.
-
-    The friction of slow slips turns them faster than a long step resolves. The first stage is kept for the second.
-    """
-    turns = False
-    for i in range(links.points if stage <= 2 and links.stepped == 0 else 0):
-        u1, u2 = c.u[3 * i + 1], c.u[3 * i + 2]
-        if stage == 2 and c.mode[i] == PRESSED and c.mu[i] > 0.0 and c.soft[i] == 0.0:
-            before1, before2 = c.friction.stage_u[i, 0], c.friction.stage_u[i, 1]
-            speed = max(math.hypot(u1, u2), math.hypot(before1, before2), TURNED)
-            turns = turns or math.hypot(u1 - before1, u2 - before2) > QUARTER * speed
-        c.friction.stage_u[i, 0], c.friction.stage_u[i, 1] = u1, u2
-    return turns
 
 
 @kernel

@@ -169,7 +169,6 @@ class Start(Block, sizes=("n", "k")):
     rate: float  # of the gap, m/s
     gap: float
     slip_speed: float
-    depth: float  # least gap of the closed contacts of links, m
     force_over_load: float  # of the contacts of links, see `closedloop.loop.step.contacts.force_over_load`
     contact_margin: float  # see `LinkContacts.margin`
     slip: Annotated[Array, 2]  # velocity
@@ -283,7 +282,6 @@ class Trial(Block):
     steps: int  # of this search
     off: int  # 1 if an event at the end of this step happens there, not before
     watched: int  # 1 if the event that is searched for may be that an open contact of a link closes
-    halvings: int  # of substeps, in this step
     settling: int  # of dual numbers (`closedloop.jit.dual8`): 1 while the slope at the instant found is sought, then 2
 
 

@@ -205,7 +205,6 @@ class ContactFriction(Block, sizes=("k", "past")):
     against: Annotated[Array, K]  # 1 if friction is against the slip all the substep, not turned
     next_against: Annotated[Array, K]  # and in the next
     start_u: Annotated[Array, K, 2]  # and its velocity
-    stage_u: Annotated[Array, K, 2]  # and that at the first stage in the middle of the substep
     delayed: Annotated[Array, K]  # speed of slip that friction with memory answers to, m/s
     speeds: Annotated[Array, K, PAST]  # of slip at the latest rows, m/s
     resistance: Resistance

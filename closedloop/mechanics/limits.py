@@ -104,10 +104,8 @@ OWN_STEP = limit("OWN_STEP", 1e-3, "s", "discs see an integrator that chooses it
 # Steps that are divided.
 FAST = limit("FAST", 12.5, "rad/s", "a joint that turns faster turns by no more than LARGEST_TURN in a part of a step")
 LARGEST_TURN = limit("LARGEST_TURN", 0.0125, "rad", "so rk4 leaves the energy of what tumbles to 1e-9")
-QUARTER = limit(
-    "QUARTER", 0.25, "1", "of both while contacts are closed; of a step, the last of a slip; of slips that turn"
-)
-MOST_GROWTH = limit("MOST_GROWTH", 2.0, "1", "forces that multiply by more, and are HIGH, have a step taken in halves")
+QUARTER = limit("QUARTER", 0.25, "1", "of both while contacts are closed; of a step, the last of a slip")
+MOST_GROWTH = limit("MOST_GROWTH", 2.0, "1", "forces that multiply by more, and are HIGH, have a time step begin")
 HIGH = limit("HIGH", 30.0, "1", "as a multiple of the load: near Painlevé's paradox forces have no bound")
 MOST_OF = limit(
     "MOST_OF",

@@ -44,22 +44,15 @@ SAME_DIRECTION = limit(
 )
 NEAR = limit("NEAR", 1e-4, "1", "near enough where rows hardly differ, and where the tip's mobility is so small")
 SMALL = limit("SMALL", 1e-3, "1", "what is less does not count")
-SOME_ROUNDING = limit(
-    "SOME_ROUNDING", 10.0, "1", "what is outside by up to so many times the force that is rounding is not outside"
-)
 
 # Speeds.
 RESTING = limit(
     "RESTING",
-    1e-11,
+    1e-10,
     "m/s",
-    "contacts that come together more slowly do not: rounding of a velocity that was set to zero",
-)
-SHAPES_RESTING = limit(
-    "SHAPES_RESTING", 1e-10, "m/s", "the same of shapes, whose rows hardly differ: impulses leave as much"
+    "contacts that come together more slowly do not: impulses leave as much of rows that hardly differ",
 )
 STILL = limit("STILL", 1e-9, "m/s", "a slip that is slower has no direction of its own")
-PARTING = limit("PARTING", 1e-8, "m/s", "a contact that parts more slowly does not")
 STICK_SPEED = limit(
     "STICK_SPEED", 1e-7, "m/s", "a slip that is slower has only begun, or has ended; and what the stabiliser may remove"
 )
@@ -83,9 +76,7 @@ OFF_SURFACE = limit(
 HOVERING = limit(
     "HOVERING", 1e-9, "m", "a contact whose gap is less may be about to close; more than the stabiliser leaves"
 )
-SINKING = limit("SINKING", 8e-10, "m", "by which a contact sinks, from where it has parted, until it touches again")
-SUNK = limit("SUNK", 9.8e-10, "m", "the depth at which a contact that has parted touches again at the latest")
-DEEPER = limit("DEEPER", 1e-11, "m", "by which a contact that has parted below SUNK sinks until it touches again")
+SINKING = limit("SINKING", 8e-10, "m", "the depth at which a contact that has parted and not been clear touches again")
 BEYOND_EDGE = limit(
     "BEYOND_EDGE", 1e-8, "m", "what is less beyond an edge, or below a surface beside it, may still touch"
 )

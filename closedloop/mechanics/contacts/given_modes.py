@@ -58,7 +58,6 @@ from closedloop.mechanics.limits import (
     SAME_DIRECTION,
     SLIGHT,
     SMALL,
-    SOME_ROUNDING,
     STICK_SPEED,
     STIFF,
 )
@@ -472,7 +471,7 @@ def share_inside(c: Contacts, i: int) -> float:
     n, mu = 3 * i, c.mu[i]
     f, grown = c.rigid[n], c.F[n] - c.rigid[n]
     if f < -c.problem.rounding:
-        return 0.0 if f > -SOME_ROUNDING * c.problem.rounding else 1.0
+        return 1.0
     share = 1.0 if c.F[n] >= 0.0 else max(0.0, f) / (max(0.0, f) - c.F[n])
     # The shortest of forces that are not unique is often at the cone's edge, but for rounding.
     if c.problem.form[i] == RAY or mu * c.F[n] + SMALL * c.problem.rounding >= math.hypot(c.F[n + 1], c.F[n + 2]):
@@ -482,7 +481,7 @@ def share_inside(c: Contacts, i: int) -> float:
     a, half = (mu * grown) * (mu * grown) - d1 * d1 - d2 * d2, mu * mu * f * grown - r1 * d1 - r2 * d2
     inside = (mu * f) * (mu * f) - r1 * r1 - r2 * r2
     if not inside > 0.0:
-        return 0.0 if math.hypot(r1, r2) <= mu * f + SOME_ROUNDING * c.problem.rounding else 1.0
+        return 0.0 if math.hypot(r1, r2) <= mu * f + c.problem.rounding else 1.0
     below = math.sqrt(max(0.0, half * half - a * inside)) - half
     return min(share, inside / below) if below > 0.0 else share
 

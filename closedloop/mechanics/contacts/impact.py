@@ -21,7 +21,7 @@ from closedloop.mechanics.contacts.memory import CONE, DOUBLE, LINE, OFF, RAY, S
 from closedloop.mechanics.contacts.modes import touches
 from closedloop.mechanics.contacts.resistance import form_of_resistance, is_resistance, mode_of_resistance
 from closedloop.mechanics.contacts.unknown_modes import solve_contacts, solve_impulses
-from closedloop.mechanics.limits import MOST_MISSING, RESTING, SHAPES_RESTING, SLOWEST_REBOUND, SMALL, STIFF
+from closedloop.mechanics.limits import MOST_MISSING, RESTING, SLOWEST_REBOUND, SMALL, STIFF
 
 # What happened to a contact, as the kinds of `closedloop.loop.events.table`.
 STRUCK_AND_LEFT, STRUCK_AND_STAYED = 1.0, 2.0
@@ -33,7 +33,7 @@ def apply_impulses(links: ContactLinks, c: Contacts, rest_speed: float) -> int:
 
     Returns OK.
     """
-    k, coming, resting = links.k, 0, RESTING if links.shapes == 0 else SHAPES_RESTING
+    k, coming = links.k, 0
     c.event.energy_lost, c.event.energy_rested, c.event.restitution_share = 0.0, 0.0, 1.0
     for i in range(3 * k):
         c.F[i], c.before[i], c.problem.after[i] = 0.0, c.u[i], c.u[i]
@@ -57,7 +57,7 @@ def apply_impulses(links: ContactLinks, c: Contacts, rest_speed: float) -> int:
         elif touches(links, c, i) and c.soft[i] == 0.0:
             c.problem.form[i] = CONE if c.mu[i] > 0.0 else RAY
         c.problem.along[i, 0], c.problem.along[i, 1] = 0.0, 0.0
-        if c.friction.pulls[i] == 0.0 and c.problem.form[i] != OFF and c.mode[i] == FREE and c.u[3 * i] < -resting:
+        if c.friction.pulls[i] == 0.0 and c.problem.form[i] != OFF and c.mode[i] == FREE and c.u[3 * i] < -RESTING:
             coming, c.event.struck[i] = coming + 1, 1.0
     if coming == 0:
         let_stay(links, c, rest_speed, False)

@@ -30,14 +30,11 @@ from closedloop.mechanics.contacts.unknown_modes import solve_contacts
 from closedloop.mechanics.limits import (
     BEYOND_EDGE,
     CLOSED_GAP,
-    DEEPER,
     FOUND,
     HOVERING,
-    PARTING,
     RESTING,
     SINKING,
     STICK_SPEED,
-    SUNK,
     TOUCHING,
     TURNED,
     VANISHING,
@@ -78,7 +75,7 @@ def open_margin(c: Contacts, i: int, depth: float = 0.0) -> float:
         return float(HOVERING - c.inside[i]) if back else math.inf
     if c.gaps.cleared[i] != 0.0:
         return float(c.located[3 * i] - c.gaps.floor[i] + CLOSED_GAP)
-    return float(c.located[3 * i] - depth - max(c.gaps.floor[i] - SINKING, min(-SUNK, c.gaps.floor[i] - DEEPER)))
+    return float(c.located[3 * i] - depth - min(-SINKING, c.gaps.floor[i] - CLOSED_GAP))
 
 
 @kernel
@@ -149,7 +146,9 @@ def choose_kinds(links: ContactLinks, c: Contacts, slow: float) -> float:
         if is_resistance(c, i):
             if form_of_resistance(c, i, CONE) == OFF:
                 continue
-        elif not pulls and (not touches(links, c, i) or (c.mode[i] == FREE and c.u[at] > PARTING and c.soft[i] == 0.0)):
+        elif not pulls and (
+            not touches(links, c, i) or (c.mode[i] == FREE and c.u[at] > STICK_SPEED and c.soft[i] == 0.0)
+        ):
             continue
         if not pulls and c.soft[i] != 0.0 and soft_gap(c, i) >= 0.0 and c.u[at] > 0.0:
             continue

@@ -50,8 +50,8 @@ from closedloop.mechanics.limits import (
     HOVERING,
     ITERATIONS,
     MOST_STALLED,
-    PARTING,
     SAME_DIRECTION,
+    STICK_SPEED,
     STIFF,
     STILL,
     TURNS,
@@ -153,7 +153,7 @@ def presses_in(c: Contacts, k: int) -> bool:
     for i in range(k):
         n = 3 * i
         parted = c.mode[i] == FREE and c.near[i] != 0.0 and c.past_edge[i] == 0.0 and c.located[n] <= HOVERING
-        if parted and c.soft[i] == 0.0 and c.friction.pulls[i] == 0.0 and abs(c.u[n]) <= PARTING:
+        if parted and c.soft[i] == 0.0 and c.friction.pulls[i] == 0.0 and abs(c.u[n]) <= STICK_SPEED:
             presses = presses or c.a[n] + added(c, n) < 0.0
     return bool(presses)
 

@@ -111,7 +111,7 @@ def test_a_block_is_lifted_by_joints_with_dry_friction():
     run = cl.simulate(cl.load_scenario("gripper_block", changes))
     kinds = [event.kind for event in run.events]
     assert kinds.count("liftoff") - kinds.count("touchdown") == 4
-    assert len(kinds) <= 60
+    assert len(kinds) <= 80  # twelve contacts: three time steps
     held = (run.time > 0.144) & (run.time < 0.148)
     assert np.all(np.abs(run.joint_friction[held, 0]) < 3.0)
     assert np.abs(run.v[held]).max() < 1e-7  # rk4 lessens the speed of a joint by a factor a step

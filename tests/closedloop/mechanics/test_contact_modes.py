@@ -32,11 +32,9 @@ from closedloop.mechanics.contacts.time_step import TANGENTIAL_IMPACT, TIME_STEP
 from closedloop.mechanics.limits import (
     BEYOND_EDGE,
     CLOSED_GAP,
-    DEEPER,
     HOVERING,
     SINKING,
     STICK_SPEED,
-    SUNK,
     TIME_STEP_SPAN,
 )
 
@@ -276,7 +274,7 @@ def test_the_margin_of_contacts_is_what_is_left_of_their_modes(memory):
     c.located[0], c.problem.rounding, c.direction[1] = 100.0, 1e-9, [0.6, 0.8]
     c.mode[1], c.located[3] = FREE, 1e-9
     for risen, floor, touches_at in (
-        (0.0, 0.0, -SINKING), (0.0, -1e-10, -1e-10 - SINKING), (0.0, -5e-10, -SUNK), (0.0, -SUNK, -SUNK - DEEPER),
+        (0.0, 0.0, -SINKING), (0.0, -5e-10, -SINKING), (0.0, -SINKING, -SINKING - CLOSED_GAP),
         (1.0, 0.0, -CLOSED_GAP), (1.0, -5e-10, -5e-10 - CLOSED_GAP),
     ):  # fmt: skip
         c.gaps.cleared[1], c.gaps.floor[1] = risen, floor

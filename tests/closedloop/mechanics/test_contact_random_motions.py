@@ -64,12 +64,14 @@ def test_a_mended_motion_stays_on_its_surfaces(tmp_path, seed):
     (tmp_path / "scenario.toml").write_text(text)
     # At 1 ms the path of 1131 has an error of its own: -5.3e-9 m, 3.4e-6 of the energy; at 0.5 ms -1.1e-9 m, and none.
     # So has that of 20261842, wedged with 2e5 N: -1.5e-9 m; and those of 20261214 and 20261783, in whose slips' last
-    # steps friction turns: 1e-7 and 1.9e-5 of the energy, at 0.5 ms none and 1.2e-6, at 0.125 ms none.
+    # steps friction turns: 1e-7 and 1.9e-5 of the energy, at 0.5 ms none and 1.2e-6, at 0.125 ms none. 20261377 gains
+    # 1.7e-6, at 0.5 ms none.
     # 20261842 and 20261488 are wedged from 0.29 s and 0.15 s on, with 1e4 N and 4e4 N; what follows is the same again.
     half, eighth = {"time.step": 5e-4}, {"time.step": 1.25e-4}
     changes = {
         1131: half,
         20261214: half,
+        20261377: half,
         20261783: eighth,
         20261842: half | {"time.duration": 0.305},
         20261488: {"time.duration": 0.2},

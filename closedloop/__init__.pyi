@@ -42,8 +42,8 @@ from closedloop.simulation.simulator import Simulator as Simulator
 from closedloop.simulation.state import StepState as StepState
 from closedloop.studies.analysis.assembly import linearise as linearise
 from closedloop.studies.comparison.compare import compare as compare
+from closedloop.studies.comparison.compare import compare_log as compare_log
 from closedloop.studies.comparison.recording import Recording as Recording
-from closedloop.studies.comparison.with_log import compare_log as compare_log
 from closedloop.studies.gradient.gradient import gradient as gradient
 from closedloop.studies.gradient.gradient import gradients as gradients
 from closedloop.studies.gradient.gradient import sensitivities as sensitivities

@@ -79,7 +79,7 @@ def _analyse(study: Stability, ranges: list[tuple[Range, int]], folder: Path | N
     else:
         print("\n".join([*page.lines(), *lines]))
     if folder is not None:
-        from closedloop.studies.analysis.figures import draw_page, written
+        from closedloop.studies.analysis.page import draw_page, written
 
         paths = [write_whole(folder / "analysis.json", (json.dumps(report, indent=2) + "\n").encode())]
         paths += draw_page(page, folder, formats_of(options))
@@ -91,7 +91,7 @@ def _analyse(study: Stability, ranges: list[tuple[Range, int]], folder: Path | N
 def _range(text: str) -> tuple[Range, int]:
     """Read KEY=RANGE, and how many values it has."""
     from closedloop.studies.analysis.stability import Range
-    from closedloop.studies.sweep.design import parse_range
+    from closedloop.studies.sweep.sweep import parse_range
 
     axis = parse_range(text, "log:1e2:1e7 or 0:80")
     return Range(axis.key, axis.low, axis.high, axis.log), axis.count or POINTS
@@ -117,7 +117,7 @@ def _varied(
         trials = [trial for limit in limits for trial in study.try_beside(limit)] if runs else []
         drawn: list[tuple[str, Any]] = []
         if draw:
-            from closedloop.studies.analysis.figures import locus
+            from closedloop.studies.analysis.page import locus
 
             drawn = [("analysis_locus", locus(_loops(study, over, count), over, limits, study.scenario))]
         found: dict[str, Any] = {"vary": [over.key], "limits": {over.key: [limit.as_dict() for limit in limits]}}
@@ -135,7 +135,7 @@ def _varied(
         trials = [trial for value, limit in chosen for trial in study.try_beside(limit, {along.key: value})]
         drawn = []
         if draw:
-            from closedloop.studies.analysis.figures import stability_map
+            from closedloop.studies.analysis.page import stability_map
 
             here = _here(study, along, over)
             drawn = [("analysis_map", stability_map(boundary, over, along, here, trials, study.scenario))]

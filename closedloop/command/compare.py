@@ -40,8 +40,8 @@ def main(words: list[str]) -> int:
     folder = made_folder(options.out) if options.out else None
 
     from closedloop.simulation.prepare import load_model
+    from closedloop.studies.comparison.compare import compare_log
     from closedloop.studies.comparison.recording import read_recording
-    from closedloop.studies.comparison.with_log import compare_log
 
     scenario = load_scenario(options.scenario, overrides)
     robot = load_model(scenario)

@@ -13,19 +13,13 @@ from pathlib import Path
 from closedloop.base import files
 from closedloop.base.errors import ClosedLoopError, InterruptedRunError, OutputError, RunFileError
 from closedloop.base.interrupts import held_back
-from closedloop.record.frame import difference
 from closedloop.record.run import Run
-from closedloop.record.save import read_sealed
+from closedloop.record.save import difference, read_sealed
 
 RUN, SUMMARY = "run.nc", "summary.json"
 # Metadata near the beginning or the end of a figure's file.
 MARK = b"closedloop"
 _MARKED_WITHIN = 16_384
-_NAMES = {
-    "scenario": "scenario", "robot_text": "robot", "robot": "robot", "law": "law", "law_digest": "text of the law",
-    "members": "text of a class of your own",
-    "engine": "engine",
-}  # fmt: skip
 
 
 class TakenError(OutputError):
@@ -101,9 +95,8 @@ class Results:
             except (RunFileError, OSError) as error:
                 words = str(error) if isinstance(error, RunFileError) else files.reason_of(error)
                 return f"its {RUN} {words}"
-            differing = [key for key, value in question.items() if found.get(key, value) != value]
-            if differing:
-                return f"holds another run: {difference(differing, _NAMES, found, question)}"
+            if told := difference({key: found.get(key, value) for key, value in question.items()}, question):
+                return f"holds another run: {told}"
             if found.get("format") is None:
                 return f"its {RUN} is not a run file"
             self._rows = columns["time"].size if "time" in columns else -1

@@ -27,9 +27,8 @@ if TYPE_CHECKING:
 
     from closedloop.command.border import Parser
     from closedloop.scenario.scenario import Scenario
-    from closedloop.studies.sweep.design import Axis
-    from closedloop.studies.sweep.join import Joined
-    from closedloop.studies.sweep.sweep import Sweep
+    from closedloop.studies.sweep.store import Joined
+    from closedloop.studies.sweep.sweep import Axis, Sweep
 
 # Different verdicts that the last line names.
 MOST_VERDICTS = 4
@@ -122,8 +121,7 @@ def _asked_for(options: Namespace, overrides: dict[str, Any]) -> Sweep:
     """Return the sweep that the command line asks for."""
     from closedloop.scenario.load import refuse_lost
     from closedloop.scenario.user_module import name_members
-    from closedloop.studies.sweep.design import GRID, LATIN, RANDOM, Design, parse_axis
-    from closedloop.studies.sweep.sweep import Sweep
+    from closedloop.studies.sweep.sweep import GRID, LATIN, RANDOM, Design, Sweep, parse_axis
 
     kind = RANDOM if options.random is not None else LATIN if options.latin is not None else GRID
     axes = [parse_axis(text, drawn=kind != GRID) for text in options.over]

@@ -13,7 +13,7 @@ from closedloop.command.shared_options import parsed, print_outcome
 def main(words: list[str]) -> int:
     """Run the command line and return the exit status."""
     from closedloop.scenario.load import load_scenario
-    from closedloop.studies.sweep.design import parse_axis, parse_range
+    from closedloop.studies.sweep.sweep import parse_axis, parse_range
 
     options, overrides = parsed(_parser(), words)
     if not options.vary:

@@ -11,12 +11,10 @@ from closedloop.base.arrays import Array
 from closedloop.base.errors import ScenarioError
 from closedloop.figures import style
 from closedloop.mechanics.surface.placed import contact_frame, unit
-from closedloop.record.columns.derived import DERIVED, WRENCH, DerivedColumn
+from closedloop.record.columns.derived import DERIVED, WRENCH, DerivedColumn, part_labels
 from closedloop.record.columns.record import SYMBOLS, Column
-from closedloop.record.frame import part_labels
 from closedloop.record.run import Run, units_by_kind
 from closedloop.scenario.messages import typeset
-from closedloop.scenario.tables import labels_of
 from robot_models import RobotModel
 from robot_models.coordinates import PLACES
 
@@ -396,16 +394,14 @@ def columns(run: Run, names: Sequence[str], ax: Axes | Sequence[Axes] | None = N
     if not names:
         raise ScenarioError("columns: name at least one, such as f")
     figure, on = style.panels(len(names), 1.2 + 1.6 * len(names), ax)
-    parts = part_labels(run.model.joint_names, run.model.coordinate_names, labels_of(run.scenario.contact or ()))
     for axes, name in zip(on, names, strict=True):
         column = SYMBOLS.get(name, name)
         values, units = np.asarray(run[column]).reshape(len(run), -1), run.units(column)
         if units == "m":
             factor, units = style.length_unit(float(np.nanmax(np.abs(values), initial=0.0)) or 1.0)
             values = factor * values
-        dims = known[column].dims
-        labels = parts.get(dims[1], tuple(map(str, range(1, values.shape[1] + 1)))) if len(dims) > 1 else (None,)
-        for k, label in enumerate(labels):
+        labels = part_labels(run, column)
+        for k, label in enumerate(labels or (None,)):
             stroke = style.STROKES[k // len(style.MANY) % len(style.STROKES)]
             axes.plot(run.time, values[:, k], stroke, color=style.MANY[k % len(style.MANY)], label=label)
         axes.margins(y=0.1)

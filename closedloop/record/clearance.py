@@ -101,12 +101,6 @@ def clearance(run: Record) -> Clearance | None:
     return min((each for each in found if each is not None), key=lambda each: each.distance, default=None)
 
 
-def clearance_of(run: Record) -> dict[str, Any] | None:
-    """Return `clearance` as the summary has it."""
-    found = clearance(run)
-    return None if found is None else {**found._asdict(), "between": list(found.between)}
-
-
 def _some(rows: NDArray[Any], most: int) -> NDArray[Any]:
     """Return so many of some rows at most, evenly spaced, the first and the last among them."""
     return np.unique(rows[np.linspace(0, len(rows) - 1, most).round().astype(int)])

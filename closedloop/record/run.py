@@ -26,28 +26,12 @@ from closedloop.base.upwards import called
 from closedloop.mechanics.loops.reactions import LoopReactions
 from closedloop.mechanics.surface.placed import unit
 from closedloop.record import save as stored
-from closedloop.record.columns.derived import (
-    DERIVED,
-    DerivedColumn,
-    columns_by_contact,
-    face_wrench,
-    from_text,
-    joint_wrench,
-    reactions_of,
-)
-from closedloop.record.columns.record import (
-    ALL_COLUMNS,
-    COLUMNS,
-    SURFACE_COLUMNS,
-    SYMBOLS,
-    Column,
-    ColumnsOnDemand,
-    Record,
-)
+from closedloop.record.columns import derived
+from closedloop.record.columns.derived import DERIVED, columns_by_contact
+from closedloop.record.columns.record import ALL_COLUMNS, COLUMNS, SURFACE_COLUMNS, SYMBOLS, ColumnsOnDemand, Record
 from closedloop.record.report.summary import summarise
 from closedloop.scenario.arm import robot_of
 from closedloop.scenario.load import parse_scenario
-from closedloop.scenario.tables import labels_of, tangents_of
 from closedloop.scenario.user_module import lacks_members
 from robot_models.cached import cached_property
 from robot_models.errors import shown
@@ -111,8 +95,8 @@ class Run(Record):
             return
         if not isinstance(self.columns, Mapping) or not all(isinstance(x, np.ndarray) for x in self.columns.values()):
             raise ScenarioError(f"columns = {shown(self.columns)}: must be a dictionary from names to arrays")
-        derived = (self.__dict__[name] for name in DERIVED if name in self.__dict__)
-        for column in (*self.columns.values(), *derived):
+        made = (self.__dict__[name] for name in DERIVED if name in self.__dict__)
+        for column in (*self.columns.values(), *made):
             column.setflags(write=False)
         object.__setattr__(self, "columns", MappingProxyType(dict(self.columns)))
 
@@ -186,7 +170,7 @@ class Run(Record):
         """Reactions of the loop joints of a mechanism, computed on first access; None for a tree."""
         if not self.model.loops:
             return None
-        return reactions_of(self, robot_of(self.scenario, replace(self.model, whole=True)))
+        return derived.reactions_of(self, robot_of(self.scenario, replace(self.model, whole=True)))
 
     def state(self, row: int) -> dict[str, list[float]]:
         """Return positions and velocities of a row as keys of a scenario, ``{"start.q": ..., "start.v": ...}``.
@@ -226,24 +210,11 @@ class Run(Record):
         needs("xarray")
         import xarray
 
-        contacts, specs = labels_of(self.scenario.contact or ()), self.specs
-
-        def variable(name: str) -> tuple[tuple[str, ...], NDArray[Any], dict[str, str]]:
-            spec = specs[name]
-            return spec.dims, np.asarray(self.columns[name]), {"units": self.units(name), "long_name": spec.meaning}
-
-        return xarray.Dataset(
-            {name: variable(name) for name in specs if name != "time"},
-            {
-                "time": variable("time"),
-                "joint": list(self.model.joint_names),
-                "joint_type": ("joint", list(self.model.joint_types)),
-                **({"coordinate": list(self.model.coordinate_names)} if self.model.balls else {}),
-                "axis": ["x", "y", "z"],
-                **({"contact": list(contacts), "contact_tangent": list(tangents_of(contacts))} if contacts else {}),
-            },
-            stored.CONVENTIONS | stored.attributes(self),
-        )
+        found = stored.variables_of(self)
+        labels = {name: (each.dims, list(each.data)) for name, each in found.items() if each.data.dtype == object}
+        columns = {name: each for name, each in found.items() if name not in labels and name != "time"}
+        attributes = stored.CONVENTIONS | stored.attributes(self)
+        return xarray.Dataset(columns, {"time": found["time"], **labels}, attributes)
 
     def to_pandas(self) -> pandas.DataFrame:
         """Return the columns over time as a pandas DataFrame; the events are in `events`.
@@ -251,15 +222,20 @@ class Run(Record):
         The index is the time, s. A column (N, k) becomes k, named after joints and axes, such as
         ``q[wam/base_yaw_joint]`` and ``position[z]``; ``attrs["units"]`` has the unit of each.
         """
-        from closedloop.record.frame import data_frame
+        needs("pandas")
+        import pandas
 
-        known: dict[str, Column | DerivedColumn] = {**self.specs, **DERIVED}
-        dims = {name: spec.dims for name, spec in known.items() if spec.dims[0] == "time"}
-        contacts = labels_of(self.scenario.contact or ())
-        return data_frame(
-            {name: getattr(self, name) for name in dims}, dims, self.model.joint_names, self.model.coordinate_names,
-            contacts, self.units,
-        )  # fmt: skip
+        parts: dict[str, NDArray[Any]] = {}
+        of = {"time": self.units("time")}
+        known: dict[str, Any] = {**self.specs, **DERIVED}
+        for name in [name for name, spec in known.items() if spec.dims[0] == "time" and name != "time"]:
+            values, labels = getattr(self, name), derived.part_labels(self, name)
+            found = {f"{name}[{label}]": values[:, k] for k, label in enumerate(labels)} if labels else {name: values}
+            parts |= found
+            of |= dict.fromkeys(found, self.units(name))
+        frame = pandas.DataFrame(parts, index=pandas.Index(self.time, name="time"))
+        frame.attrs["units"] = of
+        return frame
 
     def plot(self, ax: Axes | Sequence[Axes] | None = None) -> Figure:
         """Return a matplotlib figure of the force's error, the tip's errors and the path from above.
@@ -334,7 +310,7 @@ class Run(Record):
         ScenarioError
             If the tree has no such joint, or the robot no such frame.
         """
-        return joint_wrench(self, joint, frame)
+        return derived.joint_wrench(self, joint, frame)
 
     @arguments_checked()
     def contact_wrench(self, name: str) -> NDArray[np.float64]:
@@ -354,7 +330,7 @@ class Run(Record):
         ScenarioError
             If there is no such contact.
         """
-        return face_wrench(self, name)
+        return derived.face_wrench(self, name)
 
     def step_error(self, law: Any = None) -> dict[str, float | None]:
         """Return by how much the same run at half the step differs: ``force``, N, and ``position`` of the tip, m.
@@ -441,7 +417,7 @@ def _run_of(found: Mapping[str, Any], columns: dict[str, NDArray[Any]]) -> Run:
         engine=found["engine"],
         law_digest=found["law_digest"],
         member_digests=json.loads(found.get(stored.MEMBERS, "{}")),
-        added=from_text(found[stored.ADDED]) if stored.ADDED in found else {},
+        added=derived.from_text(found[stored.ADDED]) if stored.ADDED in found else {},
         halved=json.loads(found[stored.HALVED]) if stored.HALVED in found else None,
     )
     if lacks_members(run.scenario):

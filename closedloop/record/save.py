@@ -20,7 +20,9 @@ import io
 import json
 import stat
 import sys
+import tomllib
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from functools import cache
 from importlib import metadata
 from pathlib import Path
@@ -175,7 +177,9 @@ def _read_hdf5(source: str | BinaryIO, size: int, names: list[str]) -> tuple[Att
                 continue  # of a type that is not ours
             if value is not None:
                 attributes[name] = value
-        for name in [*names, *_added(attributes)]:
+        with suppress(TypeError, ValueError, RecursionError):  # of what is no table the caller says so
+            names = [*names, *dict(json.loads(str(attributes.get("added", "{}"))))]
+        for name in names:
             link = file.get(name, getlink=True)
             if link is not None and not isinstance(link, h5py.HardLink):
                 raise ValueError(f"column '{name}' is a link to another place: a run file must contain its numbers")
@@ -190,14 +194,6 @@ def _read_hdf5(source: str | BinaryIO, size: int, names: list[str]) -> tuple[Att
                 raise ValueError(f"column '{name}' claims {column.nbytes} bytes, in a file of {size}")
             columns[name] = np.ascontiguousarray(column[()])
     return attributes, columns
-
-
-def _added(attributes: Attributes) -> list[str]:
-    """Return the names that the JSON table `added` has; none if it is no such table, which the reader's caller says."""
-    try:
-        return list(dict(json.loads(str(attributes.get("added", "{}")))))
-    except (TypeError, ValueError, RecursionError):
-        return []
 
 
 def _plain(value: Any) -> str | int | float | None:
@@ -270,6 +266,45 @@ def question(
     } | ({MEMBERS: json.dumps(dict(sorted(members.items())))} if members else {})
 
 
+# What the results of runs depend on, in words.
+NAMES = {
+    "scenario": "scenario", "robot_text": "robot", "robot": "robot", "engine": "engine", "law": "law",
+    "law_digest": "text of the law", MEMBERS: "text of a class of your own", "versions": "list of versions",
+    "kernels": "text of closedloop", "design": "design", "axes": "list of keys and values", "runs": "number of runs",
+    "seed": "seed", "keep": "list of columns kept", "vary": "list of ranges", "names": "list of values",
+    "over": "list of variations",
+}  # fmt: skip
+# Characters of a key's two values that are shown.
+MOST_SHOWN = 200
+
+
+def difference(found: Mapping[str, Any], asked: Mapping[str, Any]) -> str:
+    """Return in words how inputs differ from those asked for, "" if they do not; "scenario" is TOML text.
+
+    Of two scenarios it is the first key that differs, with its values.
+    """
+    different = dict.fromkeys(NAMES.get(key, key) for key in {**asked, **found} if found.get(key) != asked.get(key))
+    if "scenario" in different:
+        try:
+            there, here = (_flat(tomllib.loads(str(text["scenario"]))) for text in (found, asked))
+        except (KeyError, ValueError, RecursionError):
+            there = here = {}
+        changed = [key for key in there | here if there.get(key) != here.get(key)]
+        if changed:
+            key, more = changed[0], len(changed) - 1
+            different.pop("scenario")
+            told = f"{key} is {there.get(key, 'not set')} there and {here.get(key, 'not set')} here"
+            different = {told[:MOST_SHOWN] + (f", {more} more keys differ" if more else ""): None} | different
+    return ", ".join(name if " is " in name else f"the {name} differs" for name in different)
+
+
+def _flat(table: dict[str, Any], prefix: str = "") -> dict[str, Any]:
+    flat: dict[str, Any] = {}
+    for key, value in table.items():
+        flat |= _flat(value, f"{prefix}{key}.") if isinstance(value, dict) else {prefix + key: value}
+    return flat
+
+
 def attributes(run: Record) -> dict[str, Any]:
     """Return what made the run, as plain text and numbers."""
     return {
@@ -318,29 +353,30 @@ def checksum(found: Mapping[str, Any], columns: Mapping[str, NDArray[Any]]) -> s
     return f"sha256:{total.hexdigest()}"
 
 
+def variables_of(run: Record) -> dict[str, Variable]:
+    """Return the columns of a run, and the names along their dimensions, which are text."""
+    found = {
+        name: Variable(spec.dims, np.asarray(run.columns[name]), {"units": run.units(name), "long_name": spec.meaning})
+        for name, spec in run.specs.items()
+    }
+    labels = {"joint": run.model.joint_names, "joint_type": run.model.joint_types, "axis": ("x", "y", "z")}
+    if run.model.balls:
+        labels["coordinate"] = run.model.coordinate_names
+    if run.scenario.contact:
+        labels["contact"] = labels_of(run.scenario.contact)
+        labels["contact_tangent"] = tangents_of(labels["contact"])
+    dims = {name: (name.removesuffix("_type"),) for name in labels}
+    return found | {name: Variable(dims[name], np.array(words, dtype=object)) for name, words in labels.items()}
+
+
 def save_run(run: Record, path: str | Path) -> Path:
     """Write a run and return the path; an older file is replaced only once the new one is whole.
 
     Raises OutputError if the file cannot be written.
     """
-    variables = {
-        name: Variable(spec.dims, np.asarray(run.columns[name]), {"units": run.units(name), "long_name": spec.meaning})
-        for name, spec in run.specs.items()
-    }
-    labels = {
-        "joint": ("joint", run.model.joint_names),
-        "joint_type": ("joint", run.model.joint_types),
-        "axis": ("axis", ("x", "y", "z")),
-    }
-    if run.model.balls:
-        labels["coordinate"] = ("coordinate", run.model.coordinate_names)
-    if run.scenario.contact:
-        names = labels_of(run.scenario.contact)
-        labels |= {"contact": ("contact", names), "contact_tangent": ("contact_tangent", tangents_of(names))}
-        for name, (whole, k) in columns_by_contact(run.scenario.contact).items():  # again, each by its contact's name
-            variables[name] = Variable(("time",), run.columns[whole][:, k], variables[whole].attributes)
-    for name, (dimension, words) in labels.items():
-        variables[name] = Variable((dimension,), np.array(words, dtype=object))
+    variables = variables_of(run)
+    for name, (whole, k) in columns_by_contact(run.scenario.contact or ()).items():  # again, each by its contact's name
+        variables[name] = Variable(("time",), run.columns[whole][:, k], variables[whole].attributes)
     dimensions = {"time": len(run), "joint": run.model.n, "axis": 3, "event": len(run.events)}
     if run.model.balls:
         dimensions["coordinate"] = len(run.model.coordinate_names)

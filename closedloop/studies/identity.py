@@ -11,15 +11,9 @@ from closedloop.scenario.scenario import NO_ROBOT, Scenario, families
 from closedloop.scenario.user_module import members_of_users
 from robot_models.mesh_files import digest_of
 
-# What is kept depends on it, in words.
-NAMES = {
-    "scenario": "scenario", "robot": "robot", "engine": "engine", "versions": "list of versions",
-    "kernels": "text of closedloop", "members": "text of a class of your own",
-}  # fmt: skip
-
 
 def identity_of(scenario: Scenario, changes: Mapping[str, Sequence[Any]], engine: str) -> dict[str, Any]:
-    """Return what the numbers of a scenario's runs depend on, as JSON has it, by the names `NAMES`.
+    """Return what the numbers of a scenario's runs depend on, as JSON has it, by names of `closedloop.record.save`.
 
     `changes`: values of the keys that change from run to run.
     `engine`: see `closedloop.simulate`.

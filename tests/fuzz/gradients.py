@@ -23,9 +23,8 @@ import numpy as np
 import closedloop as cl
 import closedloop.studies.gradient.gradient as whole
 from closedloop.scenario.load import shipped_scenarios
-from closedloop.studies.gradient.differences import along, difference, samples
+from closedloop.studies.gradient.differences import SIZE_OF_ZERO, Keys, along, difference, samples, slices_of
 from closedloop.studies.gradient.exact import exact, rounded
-from closedloop.studies.gradient.quantities import SIZE_OF_ZERO, Keys, slices_of
 
 # Of these a scenario gets the first five that it has as real numbers; the others have none.
 KEYS = (

@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 from free_bodies import matrices
 
-from closedloop.record.report.run_values import contact_faults, contact_rows
+from closedloop.record.report import report_rows
+from closedloop.record.report.summary import contact_faults
 
 
 def test_edges_that_begin_to_cross_deep_inside_do_not_throw_boxes():
@@ -27,7 +28,7 @@ def test_the_report_says_how_deep_bodies_that_press_are_in_each_other():
     found, i = contact_faults(run), 11
     assert (found.names[i], np.argmax(found.depth)) == ("contact 5", i)
     assert found.depth[i] == pytest.approx(depth, rel=1e-9)
-    assert ("contacts: depth in a rigid surface", "0.002", "m", "contact 5") in contact_rows(run)
+    assert ("contacts: depth in a rigid surface", "0.002", "m", "contact 5") in report_rows(run)
 
 
 @pytest.mark.slow

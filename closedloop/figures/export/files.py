@@ -37,11 +37,9 @@ from closedloop.control.laws.none import NoLaw
 from closedloop.figures.scene.scene import quaternions, scene_of, thin_out
 from closedloop.loop.events.table import EVENT_COLUMNS, KINDS
 from closedloop.mechanics.loops.reactions import named_side, parts_of
-from closedloop.record.columns.derived import DERIVED, loop_positions
-from closedloop.record.frame import part_labels
+from closedloop.record.columns.derived import DERIVED, loop_positions, part_labels
 from closedloop.record.run import Run, units_by_kind
 from closedloop.scenario.arm import robot_of
-from closedloop.scenario.tables import labels_of
 
 # The fields of each message that is sent, and of those within.
 FIELDS = {
@@ -304,10 +302,8 @@ def _flat(run: Run, name: str) -> dict[str, NDArray[Any]]:
     values, dims = getattr(run, name), (run.specs.get(name) or DERIVED[name]).dims
     if len(dims) == 1:
         return {_header(name, run.units(name)): values}
-    known = part_labels(run.model.joint_names, run.model.coordinate_names, labels_of(run.scenario.contact or ()))
-    entries = known.get(dims[1]) or tuple(map(str, range(1, values.shape[1] + 1)))
     found, (first, _, other) = {}, run.units(name).partition(" | ")  # of a turn and a slide, or of a force and a moment
-    for k, entry in enumerate(entries):
+    for k, entry in enumerate(part_labels(run, name)):
         second = run.model.joint_types[k] == "prismatic" if dims[1] == "joint" else entry.startswith("m")
         unit = units_by_kind("rad", run.model.coordinate_types[k]) if dims[1] == "coordinate" else first
         unit = other if other and second else unit

@@ -73,6 +73,19 @@ class DerivedColumn(NamedTuple):
     of: Callable[[Record], Array]
 
 
+def part_labels(run: Record, name: str) -> tuple[str, ...]:
+    """Return what the parts of a column of a run are called: joints, axes, contacts ..., or numbers; none of (N,)."""
+    dims = (run.specs.get(name) or DERIVED[name]).dims
+    if len(dims) == 1:
+        return ()
+    contacts = labels_of(run.scenario.contact or ())
+    known = {
+        "joint": run.model.joint_names, "coordinate": run.model.coordinate_names, "axis": ("x", "y", "z"),
+        "component": WRENCH, "contact": contacts, "contact_tangent": tangents_of(contacts),
+    }  # fmt: skip
+    return known.get(dims[1]) or tuple(map(str, range(1, getattr(run, name).shape[1] + 1)))
+
+
 def loop_positions(run: Record) -> Array:
     """Return the joint positions as the loop has them, (N, n), rad (m): a rotation vector for each quaternion."""
     return with_rotation_vectors(run.q, run.model.joint_types)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,8 +16,7 @@ from closedloop.record.clearance import passing_note
 from closedloop.record.columns.record import Event, Record
 from closedloop.record.report.control_verdict import unknown_text
 from closedloop.record.report.halved import halved_rows
-from closedloop.record.report.run_values import contact_rows
-from closedloop.record.report.summary import joint_measures, run_gains_fault
+from closedloop.record.report.summary import contact_faults, joint_measures, run_gains_fault, share_not_determined
 from closedloop.record.report.verdict import GOOD, energy_at_stake, names_of, probable_reason
 from closedloop.scenario.tables import names_in
 from robot_models.notes import notes as robot_notes
@@ -34,119 +33,115 @@ _LIMITS = {AT_TORQUE_LIMIT: "torque limit", AT_RATE_LIMIT: "rate limit"}
 def report_rows(run: Record) -> list[Row]:
     """Return the rows of the table of errors: quantity, value, unit, and what stands beside it; the run has rows."""
     facts = run.summary()
-    touching = run.mode != FREE
-    commanded = f"commanded {run.reference_force[-1]:.6g} N" if run.law == "scenario" else f"law {run.law}"
-    kind = run.scenario.stabiliser.kind
-    absent = {"none": "no stabiliser", "projection": "projection needs no force"}.get(kind, "")
-    force = run.contact_force[touching] if np.any(touching) else np.zeros(1)
-    where = "" if np.all(touching) else "in contact" if np.any(touching) else "never in contact"
-    end = facts["final_closure_error"]
-    time = run.scenario.time
-    scheme = scheme_of(time.integrator)
-    step = "steps of its own" if time.integrator in ADAPTIVE else f"step {time.step:g} s"
-    where_to = "along the surface" if run.scenario.has_surface else "across surface.normal"
-    has_law = run.scenario.has_law or run.law != "scenario"
+    parts = _error_rows, _undriven_rows, _loop_rows, _link_rows, _arm_rows, _contact_rows
+    return [row for part in parts for row in part(run, facts)]
+
+
+def _error_rows(run: Record, facts: dict[str, Any]) -> Iterator[Row]:
+    """Yield how large the errors of the tip, of the equation of motion and of the step were."""
+    touching, time, surface = run.mode != FREE, run.scenario.time, run.scenario.has_surface
 
     def row(label: str, key: str, form: str, unit: str, beside: str = "") -> Row:
         return label, _shown(facts[key], form), unit, beside
 
-    path = [row("path error, RMS", "rms_path_error", ".2g", "m", where_to)] if has_law else []
-    last = f"{_shown(end, '.1g')} m at the end" if touching[-1] else f"a gap of {_shown(end, '.3g')} m at the end"
-    depth = "closure error |e|" if run.scenario.compliance.kind == "none" else "depth in the surface |e|"
-    stated = commanded if touching[-1] else f"free; {commanded}"
-    tip: list[Row] = [
-        row("contact force f at the end", "final_contact_force", ".9g", "N", stated),
-        ("f, lowest and highest", f"{np.min(force):.4g} … {np.max(force):.4g}", "N", where),
-        *_undetermined_rows(facts),
-        *_direction_rows(facts),
-        row("force error, RMS", "rms_force_error", ".2g", "N", "while it touches"),
-        *path,
-        row("the stabiliser's part of f", "max_stabiliser_force", ".2g", "N", absent),
-        row(depth, "max_abs_closure_error", ".2g", "m", last),
-        row("closure rate |ė|", "max_abs_closure_rate", ".2g", "m/s"),
-    ]
+    if surface:
+        commanded = f"commanded {run.reference_force[-1]:.6g} N" if run.law == "scenario" else f"law {run.law}"
+        force = run.contact_force[touching] if np.any(touching) else np.zeros(1)
+        where = "" if np.all(touching) else "in contact" if np.any(touching) else "never in contact"
+        stated = commanded if touching[-1] else f"free; {commanded}"
+        yield row("contact force f at the end", "final_contact_force", ".9g", "N", stated)
+        yield "f, lowest and highest", f"{np.min(force):.4g} … {np.max(force):.4g}", "N", where
+        if (at := facts["force_not_determined_from"]) is not None:
+            what = "at rest; that of least friction is recorded"
+            yield "f not determined by rigid bodies", f"from {at:.4g}", "s", what
+        if (off := facts["friction_off_slip"]) is not None:  # the step does not resolve how the slip turns
+            what = f"at {off['at']:.4g} s; of slip slower than {off['below_speed']:.2g} m/s, which turns within a step"
+            yield "friction off the slip, at most", f"{off['max_angle']:.2g}", "deg", what
+        yield row("force error, RMS", "rms_force_error", ".2g", "N", "while it touches")
+    if run.scenario.has_law or run.law != "scenario":
+        along = "along the surface" if surface else "across surface.normal"
+        yield row("path error, RMS", "rms_path_error", ".2g", "m", along)
+    if surface:
+        absent = {"none": "no stabiliser", "projection": "projection needs no force"}
+        depth = "closure error |e|" if run.scenario.compliance.kind == "none" else "depth in the surface |e|"
+        end = facts["final_closure_error"]
+        last = f"{_shown(end, '.1g')} m at the end" if touching[-1] else f"a gap of {_shown(end, '.3g')} m at the end"
+        beside = absent.get(run.scenario.stabiliser.kind, "")
+        yield row("the stabiliser's part of f", "max_stabiliser_force", ".2g", "N", beside)
+        yield row(depth, "max_abs_closure_error", ".2g", "m", last)
+        yield row("closure rate |ė|", "max_abs_closure_rate", ".2g", "m/s")
     exchanged = f"of {energy_at_stake(facts, facts['energy_gained'] is not None):.2g} J exchanged"
-    order = "not known" if scheme is None else f"{scheme.order}"
-    return [
-        *(tip if run.scenario.has_surface else path),
-        row("residual of Eq. 24", "max_kkt_residual", ".1g", "relative", "rounding is 1e-16"),
-        row("energy unaccounted for", "max_energy_residual", ".2g", "J", exchanged),
-        *_gain_rows(run, facts),
-        ("order of the integrator", order, "", f"{time.integrator}, {step}"),
-        *_step_rows(facts["step_error"]),
-        row("tip speed", "max_tip_speed", ".4g", "m/s"),
-        *_undriven_rows(run, facts),
-        *_loop_rows(run),
-        *contact_rows(run),
-        *_joint_rows(run),
-        *_tool_rows(run, facts),
-        *_limited_rows(run),
-        *_contact_rows(run, facts),
-    ]
-
-
-def _gain_rows(run: Record, facts: dict[str, Any]) -> list[Row]:
-    """Return by how much the energy of what nothing drives grows, in good runs too; what is stored comes back."""
+    yield row("residual of Eq. 24", "max_kkt_residual", ".1g", "relative", "rounding is 1e-16")
+    yield row("energy unaccounted for", "max_energy_residual", ".2g", "J", exchanged)
     gained = facts["energy_above_start" if run.scenario.stores_energy else "energy_gained"]
-    if gained is None:
-        return []
-    return [("energy grows by", f"{gained:.2g}", "J", f"of {energy_at_stake(facts, True):.2g} J; nothing drives it")]
+    if gained is not None:  # of what nothing drives, in good runs too; what is stored comes back
+        yield "energy grows by", f"{gained:.2g}", "J", f"of {energy_at_stake(facts, True):.2g} J; nothing drives it"
+    scheme = scheme_of(time.integrator)
+    step = "steps of its own" if time.integrator in ADAPTIVE else f"step {time.step:g} s"
+    order = "not known" if scheme is None else f"{scheme.order}"
+    yield "order of the integrator", order, "", f"{time.integrator}, {step}"
+    known, errors = False, facts["step_error"]
+    for label, error, unit in (("f differs by", errors["force"], "N"), ("tip differs by", errors["position"], "m")):
+        if error is not None:
+            known = True
+            yield label, f"{error:.2g}", unit, "from the run at half the step"
+    if not known:
+        yield "error of the step", "not known", "", errors["why_not"]
+    yield row("tip speed", "max_tip_speed", ".4g", "m/s")
 
 
-def _undetermined_rows(facts: dict[str, Any]) -> list[Row]:
-    """Return since when f is not determined by rigid bodies, at an arm that rests on friction in its joints."""
-    at = facts["force_not_determined_from"]
-    if at is None:
-        return []
-    return [("f not determined by rigid bodies", f"from {at:.4g}", "s", "at rest; that of least friction is recorded")]
-
-
-def _direction_rows(facts: dict[str, Any]) -> list[Row]:
-    """Return by how much friction points away from the slip, where the step does not resolve how the slip turns."""
-    off = facts["friction_off_slip"]
-    if off is None:
-        return []
-    what = f"at {off['at']:.4g} s; of slip slower than {off['below_speed']:.2g} m/s, which turns within a step"
-    return [("friction off the slip, at most", f"{off['max_angle']:.2g}", "deg", what)]
-
-
-def _undriven_rows(run: Record, facts: dict[str, Any]) -> list[Row]:
-    """Return what becomes of the law's torque on joints without a drive: the drives give it, or it is lost."""
+def _undriven_rows(run: Record, facts: dict[str, Any]) -> Iterator[Row]:
+    """Yield what becomes of the law's torque on joints without a drive: the drives give it, or it is lost."""
     of_bodies = run.model.of_bodies
     lost = facts["motions_without_drive"] - int(np.sum(of_bodies))
     undriven = np.flatnonzero(~run.model.driven & ~of_bodies)
-    if not len(undriven):  # nobody expects a drive of a free body
-        return []
-    names = ", ".join(run.model.joint_names[j] for j in undriven)
-    if lost:
-        return [("motions without a drive", f"{lost}", "", f"torque asked there is lost: {names}")]
-    where = "torque asked there is given by the drives, through the loops"
-    return [("joints without a drive", f"{len(undriven)}", "", f"{where}: {names}")]
+    if len(undriven):  # nobody expects a drive of a free body
+        names = ", ".join(run.model.joint_names[j] for j in undriven)
+        if lost:
+            yield "motions without a drive", f"{lost}", "", f"torque asked there is lost: {names}"
+        else:
+            where = "torque asked there is given by the drives, through the loops"
+            yield "joints without a drive", f"{len(undriven)}", "", f"{where}: {names}"
 
 
-def _loop_rows(run: Record) -> list[Row]:
-    """Return how far the loops of a mechanism were from closed, and what they carried."""
+def _loop_rows(run: Record, facts: dict[str, Any]) -> Iterator[Row]:
+    """Yield how far the loops of a mechanism were from closed, and what they carried."""
     found = run.loops
     if found is None:
-        return []
+        return
     worst = int(np.argmax(np.max(np.abs(found.errors), axis=0)))
     m, least, most = found.errors.shape[1], int(np.min(found.rank)), int(np.max(found.rank))
-    ranks = f"{least}" if least == most else f"{least} to {most}"
-    rows = [("loops: error", f"{np.max(np.abs(found.errors)):.2g}", "m (rad)", found.joints[worst])]
+    yield "loops: error", f"{np.max(np.abs(found.errors)):.2g}", "m (rad)", found.joints[worst]
+    sizes = np.max(np.abs(found.reactions), axis=0)
     for unit in ("N", "N m"):
         at = [k for k, own in enumerate(found.units) if own == unit]
         if at:
-            largest = max(at, key=lambda k: float(np.max(np.abs(found.reactions[:, k]))))
-            size = float(np.max(np.abs(found.reactions[:, largest])))
-            rows.append(("loops: reaction", f"{size:.4g}", unit, found.labels[largest]))
-    spare = "; reactions of least norm" if least < m else ""
-    return [*rows, ("loops: independent rows", ranks, "", f"of {m}{spare}")]
+            largest = max(at, key=sizes.__getitem__)
+            yield "loops: reaction", f"{float(sizes[largest]):.4g}", unit, found.labels[largest]
+    ranks, spare = f"{least}" if least == most else f"{least} to {most}", "; reactions of least norm"
+    yield "loops: independent rows", ranks, "", f"of {m}{spare if least < m else ''}"
 
 
-def _joint_rows(run: Record) -> list[Row]:
-    """Return how near to its limits the arm came, where it has any."""
+def _link_rows(run: Record, facts: dict[str, Any]) -> Iterator[Row]:
+    """Yield what the contacts of links bore, and by how much they miss their conditions."""
+    found = contact_faults(run)
+    if found is None:
+        return
+    largest = np.max(run.link_forces, axis=0)
+    most, cone, product, deep = (int(np.argmax(part)) for part in (largest, *found[1:]))
+    if (shares := share_not_determined(run)) is not None:
+        at, count, rank = shares
+        what = f"{rank} of {count} rows are independent; the forces of least norm are recorded"
+        yield "share of each contact not determined", f"from {at:.4g}", "s", what
+    yield "contacts: largest force", f"{largest[most]:.4g}", "N", found.names[most]
+    yield "contacts: outside the cone", f"{found.cone[cone]:.1g}", "N", found.names[cone]
+    yield "contacts: force times gap", f"{found.complementarity[product]:.1g}", "N m", found.names[product]
+    yield "contacts: depth in a rigid surface", f"{found.depth[deep]:.1g}", "m", found.names[deep]
+
+
+def _arm_rows(run: Record, facts: dict[str, Any]) -> Iterator[Row]:
+    """Yield how near to its limits the arm came, where it has any, how its tool is turned, and what limits cut."""
     found = joint_measures(run)
-    rows = []
     for title, key, limit in (
         ("joint speed, of its limit", "max_joint_velocity", run.model.velocity_limit),
         ("joint torque, of its limit", "max_joint_torque", run.model.effort_limit),
@@ -154,34 +149,20 @@ def _joint_rows(run: Record) -> list[Row]:
         share = np.divide(found[key], limit, where=limit > 0.0, out=np.full(run.model.n, np.inf))
         j = int(np.argmax(share))
         if np.any(np.isfinite(limit)):
-            rows.append((title, f"{100.0 * share[j]:.3g}", "%", f"joint {run.model.joint_names[j]}"))
-    return rows
-
-
-def _tool_rows(run: Record, facts: dict[str, Any]) -> list[Row]:
-    """Return how the tool is turned, where that is asked for, and what it bears, if the arm carries one."""
-    rows, wrist, tool = [], facts["wrist"], facts["tool"]
-    if tool is not None:
+            yield title, f"{100.0 * share[j]:.3g}", "%", f"joint {run.model.joint_names[j]}"
+    if (tool := facts["tool"]) is not None:
         error, angle = _shown(tool["max_orientation_error"], ".3g"), _shown(tool["max_angle"], ".3g")
-        rows.append(("tool from its orientation", error, "deg", f"its axis {angle} deg from the normal"))
-    if wrist is not None:
+        yield "tool from its orientation", error, "deg", f"its axis {angle} deg from the normal"
+    if (wrist := facts["wrist"]) is not None:
         force, moment = _shown(wrist["max_force"], ".4g"), _shown(wrist["max_moment"], ".4g")
         at = f"at the frame {run.scenario.robot.tip or run.model.tip}"
-        rows.append(("force between arm and tool", force, "N", f"moment {moment} N m, {at}"))
-    return rows
+        yield "force between arm and tool", force, "N", f"moment {moment} N m, {at}"
 
-
-def _limited_rows(run: Record) -> list[Row]:
-    """Return a row for each joint whose torque a limit of the drives cut."""
-    found, rows = joint_measures(run), []
-    for j, at in enumerate(found["torque_limited_at"]):
-        if np.isfinite(at):
-            kinds = np.unique(run.torque_limited[:, j])
-            what = " and ".join(word for kind, word in _LIMITS.items() if kind in kinds)
-            share = f"{100.0 * found['torque_limited_share'][j]:.3g}"
-            where = f"joint {run.model.joint_names[j]}, first at {at:.4g} s: {what}"
-            rows.append(("torque cut, of the time", share, "%", where))
-    return rows
+    for j in map(int, np.flatnonzero(np.isfinite(found["torque_limited_at"]))):
+        kinds = np.unique(run.torque_limited[:, j])
+        what = " and ".join(word for kind, word in _LIMITS.items() if kind in kinds)
+        where = f"joint {run.model.joint_names[j]}, first at {found['torque_limited_at'][j]:.4g} s: {what}"
+        yield "torque cut, of the time", f"{100.0 * found['torque_limited_share'][j]:.3g}", "%", where
 
 
 def _shown(value: float | None, form: str) -> str:
@@ -189,40 +170,25 @@ def _shown(value: float | None, form: str) -> str:
     return "not known" if value is None else format(value, form)
 
 
-def _contact_rows(run: Record, facts: dict[str, Any]) -> list[Row]:
-    """Return what a run in which contact changes has to say beside the rest."""
-    counts = ", ".join(
-        f"{count} {kind.replace('_', ' ')}{'s' * (count > 1)}" for kind, count in facts["events"].items() if count
-    )
-    rows = [("events", str(len(run.events)), "", counts)] if run.events else []
+def _contact_rows(run: Record, facts: dict[str, Any]) -> Iterator[Row]:
+    """Yield what a run in which contact changes has to say beside the rest."""
+    if run.events:
+        counts = ((kind.replace("_", " "), count) for kind, count in facts["events"].items() if count)
+        yield "events", str(len(run.events)), "", ", ".join(f"{n} {kind}{'s' * (n > 1)}" for kind, n in counts)
     at_links = bool(run.scenario.contact) and np.any(run.link_frictions)
     if facts["max_friction_force"] or facts["max_joint_friction"] or at_links:
-        rows.append(("energy lost to friction", _shown(facts["energy_lost_to_friction"], ".3g"), "J", ""))
+        yield "energy lost to friction", _shown(facts["energy_lost_to_friction"], ".3g"), "J", ""
     if run.scenario.surface.contact == "bilateral":
-        return rows
-    cut = facts["largest_rate_cut"] or 0.0
+        return
     if run.scenario.has_surface:
-        rows += [
-            ("time in contact", _shown(facts["time_in_contact"], ".4g"), "s", f"of {run.time[-1]:g} s"),
-            ("deepest penetration", _shown(facts["deepest_penetration"], ".2g"), "m", ""),
-        ]
+        yield "time in contact", _shown(facts["time_in_contact"], ".4g"), "s", f"of {run.time[-1]:g} s"
+        yield "deepest penetration", _shown(facts["deepest_penetration"], ".2g"), "m", ""
     if facts["events"]["impact"] or facts["events"]["touchdown"]:
+        cut = facts["largest_rate_cut"] or 0.0
         what = f"bounce cut: {cut:.2g} m/s" if cut > 0.0 else "no bounce was cut"
         if rested := facts["energy_taken_at_rest"]:
             what += f", {rested:.2g} J taken to rest"
-        rows.append(("energy lost in impacts", _shown(facts["energy_lost_in_impacts"], ".3g"), "J", what))
-    return rows
-
-
-def _step_rows(found: dict[str, Any]) -> list[tuple[str, str, str, str]]:
-    """Return the rows of the error of the step, see `closedloop.record.report.halved.step_error`."""
-    said = [("f differs by", found["force"], "N"), ("tip differs by", found["position"], "m")]
-    known = [
-        (label, f"{error:.2g}", unit, "from the run at half the step")
-        for label, error, unit in said
-        if error is not None
-    ]
-    return known or [("error of the step", "not known", "", found["why_not"])]
+        yield "energy lost in impacts", _shown(facts["energy_lost_in_impacts"], ".3g"), "J", what
 
 
 # How many events are printed: a bouncing tip has dozens.

@@ -39,8 +39,15 @@ from closedloop.mechanics.integrators import ADAPTIVE, scheme_of
 from closedloop.mechanics.loops.reactions import torque_of_drives
 from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.record.columns.record import Record
-from closedloop.record.report.measured import EVENTS_AT, FAILED_AT, WIDTH
-from closedloop.record.report.measures import JOINT_MEASURES, MEASURES, NAMES, absent_measures
+from closedloop.record.report.measures import (
+    EVENTS_AT,
+    FAILED_AT,
+    JOINT_MEASURES,
+    MEASURES,
+    NAMES,
+    WIDTH,
+    absent_measures,
+)
 from closedloop.scenario.arm import joint_friction_of, robot_of
 from closedloop.scenario.modes import gains_fault
 from closedloop.scenario.scenario import Scenario
@@ -52,7 +59,7 @@ def count_limited(limited: Array, h: float, values: Any) -> None:
     """Write `torque_limited_share` and `torque_limited_at` into a run's values.
 
     `limited` (N, n): the column `torque_limited`, N >= 1.
-    `values`: see `closedloop.record.report.measured.Values`; written.
+    `values`: see `closedloop.record.report.measures.Values`; written.
     """
     cut = limited != AS_ASKED
     values.torque_limited_share[:] = np.mean(cut, axis=0)
@@ -411,9 +418,6 @@ def _number(value: float | None) -> float:
     return math.inf if value is None or math.isnan(value) else value
 
 
-_AT = {name: at for at, name in enumerate(MEASURES)}
-
-
 def verdict_of(
     scenario: Scenario, robot: Robot, values: Array, steps: int, stopped: str | None = None,
     swings: Sequence[str] = (), own_law: bool = False,
@@ -442,4 +446,4 @@ def verdict_of(
 def forget_absent(scenario: Scenario, values: Array, own_law: bool = False) -> None:
     """Write NaN for the measures that do not exist."""
     for name in absent_measures(scenario, own_law):
-        values[_AT[name]] = math.nan
+        values[list(MEASURES).index(name)] = math.nan

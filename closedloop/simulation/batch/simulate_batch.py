@@ -30,8 +30,7 @@ from closedloop.jit.simd8 import WIDE
 from closedloop.loop.events.table import KINDS
 from closedloop.loop.step.record_row import ARM_RECORDED, RECORDED
 from closedloop.record.columns.record import SYMBOLS
-from closedloop.record.report.measured import WIDTH
-from closedloop.record.report.measures import JOINT_MEASURES, MEASURES, NAMES
+from closedloop.record.report.measures import JOINT_MEASURES, MEASURES, NAMES, WIDTH
 from closedloop.scenario.load import Variants
 from closedloop.scenario.scenario import Scenario, families
 from closedloop.simulation.batch.threads import Done, side_by_side

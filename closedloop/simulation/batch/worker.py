@@ -34,9 +34,17 @@ from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.mechanics.robot.tree import Tree
 from closedloop.record.columns.record import SURFACE_COLUMNS
 from closedloop.record.report import control_verdict
-from closedloop.record.report.measured import CONTROL, FAILED_AT, WIDTH, Tally, Values, measure_rows
-from closedloop.record.report.measures import NAMES, joint_limits
-from closedloop.record.report.run_values import lost_to_slips
+from closedloop.record.report.measures import (
+    CONTROL,
+    FAILED_AT,
+    NAMES,
+    WIDTH,
+    Tally,
+    Values,
+    joint_limits,
+    measure_rows,
+)
+from closedloop.record.report.summary import lost_to_slips
 from closedloop.record.report.verdict import GOOD, count_limited, forget_absent, verdict_of
 from closedloop.scenario import modes
 from closedloop.scenario.scenario import Scenario
@@ -92,7 +100,7 @@ def _rows(count: int) -> NDArray[np.int64]:
 def control_of_rows(problem: Problem, found: Array, events: Array, values: Any, stopped: str | None) -> str:
     """Return the same of a run by itself.
 
-    It is judged by what `closedloop.record.report.measured.write_control` wrote of its rows, its events, and its values
+    It is judged by what `closedloop.record.report.measures.write_control` wrote of its rows, its events, and its values
     (Values.count(n),).
     """
     n = problem.robot.n
@@ -136,7 +144,7 @@ class Outcome:
     status: str
     reason: str | None  # why it was stopped, was refused or failed
     rows: int  # how many rows it has
-    # (Values.count(n),): see `closedloop.record.report.measured`; NaN where there is none, and (WIDTH,) if nothing ran
+    # (Values.count(n),): see `closedloop.record.report.measures`; NaN where there is none, and (WIDTH,) if nothing ran
     values: Array
     end_time: float = math.nan  # instant of the last row, s; NaN if there is none
     columns: dict[str, Array] = field(default_factory=dict)  # the columns that were to be kept

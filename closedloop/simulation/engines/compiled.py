@@ -6,7 +6,7 @@ without the interpreter and its lock, so the runs of a batch are parallel in thr
 
 Python has no arrays of dual numbers (`closedloop.jit.dual8`), only their memory, so entries for them take all arrays by
 address. Of these entries only the form of dual numbers is compiled. The arrays are those of the entries that they stand
-for: `closedloop.simulation.engines. compiled.run_compiled` and `closedloop.record.report.measured.measure_rows`.
+for: `closedloop.simulation.engines. compiled.run_compiled` and `closedloop.record.report.measures.measure_rows`.
 """
 
 import numpy as np
@@ -19,7 +19,7 @@ from closedloop.loop.events.locate import TERMS
 from closedloop.loop.events.table import EVENT_WIDTH
 from closedloop.loop.step.memory import loop_at
 from closedloop.mechanics.robot.tree import Tree, tree_terms, work_size
-from closedloop.record.report.measured import CONTROL, measure
+from closedloop.record.report.measures import CONTROL, measure
 from closedloop.simulation.engines.problem import Problem
 from closedloop.simulation.engines.proceed import ADDRESSES, IN_MEMORY, Addresses
 

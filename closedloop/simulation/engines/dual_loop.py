@@ -21,8 +21,7 @@ from closedloop.loop.events.table import EVENT_WIDTH
 from closedloop.loop.events.transitions import collide
 from closedloop.loop.step.memory import Constants, Loop, State, Work
 from closedloop.mechanics.robot.tree import Tree
-from closedloop.record.report.measured import CONTROL, Tally, Values
-from closedloop.record.report.measures import joint_limits
+from closedloop.record.report.measures import CONTROL, Tally, Values, joint_limits
 from closedloop.simulation.engines.compiled import Parts, compiled_work, measure_at, run_at, run_varied_at
 from closedloop.simulation.engines.loops import Pace
 from closedloop.simulation.engines.problem import Problem
@@ -189,7 +188,7 @@ class DualRun:
         dual(collide)(int(self._state.address))
 
     def values(self) -> Array:
-        """Return the values of the summary and their derivatives, (K, 8), see `closedloop.record.report.measured`."""
+        """Return the values of the summary and their derivatives, (K, 8), see `closedloop.record.report.measures`."""
         dual(measure_at)(
             self._tree, address_of(self._parts.memory), address_of(self._addresses.memory), self._base.problem.nodes,
             len(self.rows),

@@ -5,7 +5,7 @@ They are runs of a batch with the paper's law. The loop calls the kernels of a s
 the same result to the last bit. The tips may be free, slide or stick (`closedloop.simulation.engines.lane_contact`). A
 run of which one may not say that nothing happens in a step takes that step by itself
 (`closedloop.simulation.engines.lane_contact`). The summary of a run is accumulated row by row
-(`closedloop.record.report.measured`); the rows are kept only on request.
+(`closedloop.record.report.measures`); the rows are kept only on request.
 
 If one of the eight cannot go on, the loop returns a status, and each of the eight is run by itself.
 """
@@ -37,18 +37,19 @@ from closedloop.mechanics.friction.laws.none import NoFriction
 from closedloop.mechanics.integrators import INTEGRATORS
 from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.mechanics.robot.tree import Tree, energy_there, tree_terms, work_size
-from closedloop.record.report.measured import (
+from closedloop.record.report.measures import (
     CONTROL,
+    JointLimits,
     Tally,
     Values,
     begin_tally,
     count_condition,
     count_events,
     count_row,
+    joint_limits,
     write_control,
     write_values,
 )
-from closedloop.record.report.measures import JointLimits, joint_limits
 from closedloop.scenario.arm import has_stops
 from closedloop.scenario.scenario import Scenario
 from closedloop.simulation.engines.compiled import compiled_terms, compiled_work
@@ -486,7 +487,7 @@ class LaneRuns:
         return status == OK
 
     def values(self, lane: int) -> Array:
-        """Return the values of a run's summary, see `closedloop.record.report.measured`."""
+        """Return the values of a run's summary, see `closedloop.record.report.measures`."""
         values = self._values[:, lane].copy()
         if self.kind.many:
             plain(count_events)(self._members[lane].told, Values(values, self.n))

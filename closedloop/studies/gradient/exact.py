@@ -38,9 +38,8 @@ from closedloop.mechanics.closure.contact_force import FREE
 from closedloop.mechanics.integrators import ADAPTIVE
 from closedloop.mechanics.robot.tree import energies_of_rows
 from closedloop.record.columns.record import POSITIONS
-from closedloop.record.report.measured import Values
-from closedloop.record.report.measures import JOINT_MEASURES, MEASURES
-from closedloop.record.report.run_values import shares_at
+from closedloop.record.report.measures import JOINT_MEASURES, MEASURES, Values
+from closedloop.record.report.summary import shares_at
 from closedloop.record.run import Run
 from closedloop.scenario.tables import names_of
 from closedloop.simulation.cache import Cache
@@ -49,7 +48,7 @@ from closedloop.simulation.engines.problem import Problem
 from closedloop.simulation.prepare import prepare
 from closedloop.simulation.simulate import columns_of_rows, positions_told
 from closedloop.studies.gradient import differences
-from closedloop.studies.gradient.quantities import EVENTS, SHARE, Direction, Keys, Output, slices_of, values_of
+from closedloop.studies.gradient.differences import EVENTS, SHARE, Direction, Keys, Output, slices_of, values_of
 from robot_models import RobotModel
 
 # Two differences of steps that are a factor 2 apart agree to this share of themselves where a number enters linearly,

@@ -22,9 +22,9 @@ from closedloop.record.run import Run
 from closedloop.scenario.scenario import Scenario
 from closedloop.simulation.batch.simulate_batch import threads_for
 from closedloop.simulation.engines.loops import COMPILED
-from closedloop.studies.gradient.differences import Along, Part, Sample, along, sample, simulated
+from closedloop.studies.gradient import differences
+from closedloop.studies.gradient.differences import Along, Direction, Keys, Output, Part, indexed, output, values_of
 from closedloop.studies.gradient.exact import exact, grazes
-from closedloop.studies.gradient.quantities import SHARE, Direction, Keys, Output, indexed, output, values_of
 from robot_models import RobotModel
 
 if TYPE_CHECKING:
@@ -137,7 +137,7 @@ def gradient(
     if isinstance(of, str) or not of:
         raise ScenarioError("of: must be a list of quantities, such as ['rms_force_error', 'contact_force@end']")
     varied = Keys(scenario, keys)
-    run = simulated(scenario, model)
+    run = differences.simulated(scenario, model)
     outputs = [output(name, run) for name in dict.fromkeys(of)]
     return differentiated(varied, run, outputs, model, progress, workers)
 
@@ -157,16 +157,16 @@ def differentiated(
             if some:
                 base = _sampled(run, some)
                 rest = [d for d in directions if d not in found]
-                found = found | along(varied, rest, base, partial(values_of, some), model, report, workers)
+                found = found | differences.along(varied, rest, base, partial(values_of, some), model, report, workers)
                 made.append(_gathered(varied, run, some, base.values, {d: found[d] for d in directions}))
     joined = _joined(made, [each.name for each in outputs])
     return replace(joined, problems=(*grazes(run), *by_duals.problems, *joined.problems))
 
 
-def _sampled(run: Run, outputs: Sequence[Output]) -> Sample:
+def _sampled(run: Run, outputs: Sequence[Output]) -> differences.Sample:
     """Return what is kept of the run itself."""
     scale = [np.full(value.size, np.max(np.abs(value), initial=0.0)) for value in (each.of(run) for each in outputs)]
-    return replace(sample(run, partial(values_of, outputs)), scale=np.concatenate(scale))
+    return replace(differences.sample(run, partial(values_of, outputs)), scale=np.concatenate(scale))
 
 
 def _joined(parts: Sequence[Gradient], names: Sequence[str]) -> Gradient:
@@ -222,7 +222,7 @@ def _named(of: str, direction: Direction, part: Part, values: Array) -> list[str
             f"{of} has no derivative with respect to {direction}{many.format(kinks.size)}: "
             f"{part.below[i]:.6g} below and {part.above[i]:.6g} above"
         )
-    least = 1e-2 * float(np.max(np.abs(values), initial=0.0)) / (direction.step / SHARE)
+    least = 1e-2 * float(np.max(np.abs(values), initial=0.0)) / (direction.step / differences.SHARE)
     rough = np.flatnonzero(~part.kink & (part.error > ROUGH * np.maximum(np.abs(part.derivative), least)))
     if rough.size:
         i = rough[np.argmax(part.error[rough])]
@@ -345,7 +345,7 @@ def sensitivities(
     if isinstance(of, str) or not of:
         raise ScenarioError("of: must be a list of columns, such as ['contact_force']")
     varied = Keys(scenario, keys)
-    run = simulated(scenario, model)
+    run = differences.simulated(scenario, model)
     outputs = [output(name, run, whole=True) for name in dict.fromkeys(of)]
     found = differentiated(varied, run, outputs, model, progress, workers)
     return Sensitivities(**{each.name: getattr(found, each.name) for each in fields(Gradient)}, time=run.time)

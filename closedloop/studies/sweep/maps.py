@@ -23,7 +23,7 @@ from closedloop.base.files import kind_of, reason_of, write_whole
 from closedloop.figures.style import COLOURS, WIDE, length_unit, page_width, styled
 from closedloop.figures.style import panels as panels_on
 from closedloop.scenario.messages import typeset, with_unit
-from closedloop.studies.sweep.join import pieces, unreadable_is_none
+from closedloop.studies.sweep.store import pieces, unreadable_is_none
 
 if TYPE_CHECKING:
     import pyarrow as pa

@@ -23,9 +23,9 @@ import numpy as np
 from closedloop.base.arrays import Array, number_at, number_of, share_of
 from closedloop.base.errors import ClosedLoopError, OutputError, ScenarioError
 from closedloop.mechanics.integrators import ADAPTIVE
-from closedloop.record.frame import difference
 from closedloop.record.report.measures import JOINT_MEASURES, MEASURES
 from closedloop.record.report.verdict import SHAKEN
+from closedloop.record.save import difference
 from closedloop.scenario.arm import robot_of
 from closedloop.scenario.load import Variants
 from closedloop.scenario.modes import unresolved_feedback
@@ -34,8 +34,8 @@ from closedloop.simulation.batch.simulate_batch import one_number, simulate_batc
 from closedloop.simulation.engines.loops import COMPILED, PINOCCHIO
 from closedloop.simulation.prepare import load_model
 from closedloop.studies.analysis.assembly import linearise
-from closedloop.studies.gradient.quantities import Keys, indexed
-from closedloop.studies.identity import NAMES, identity_of
+from closedloop.studies.gradient.differences import Keys, indexed
+from closedloop.studies.identity import identity_of
 
 _ENTRY = re.compile(r"(.+?)\[(\d+)\]")
 _LIMIT = re.compile(r"\s*([\w@.]+)\s*(<=|>=)\s*(\S+)\s*")
@@ -163,8 +163,6 @@ MARGINS: dict[str, Callable[[Any], float]] = {
 NO_END = 1e6
 # Problems of a verdict with which the numbers of a run mean nothing.
 MEANINGLESS = SHAKEN | {"gains", "resolution"}
-# What a file of runs depends on, in words.
-NAMES_OF_ALL = NAMES | {"vary": "list of ranges", "names": "list of values", "over": "list of variations"}
 
 
 class Runs:
@@ -312,11 +310,8 @@ class Runs:
             theirs = json.loads(first)["tuning"]
         except (ValueError, LookupError, TypeError):
             raise OutputError(f"{kept}: exists and holds no tuning; name another folder, or remove the file") from None
-        if different := [key for key in mine | theirs if theirs.get(key) != mine.get(key)]:
-            raise OutputError(
-                f"{kept}: is of another tuning: {difference(different, NAMES_OF_ALL, theirs, mine)}; name another "
-                "folder, or remove the file"
-            )
+        if told := difference(theirs, mine):
+            raise OutputError(f"{kept}: is of another tuning: {told}; name another folder, or remove the file")
         for line in lines:
             with suppress(ValueError, TypeError, RecursionError):  # damaged
                 self._known |= dict([json.loads(line)])

@@ -6,7 +6,7 @@ import pytest
 import closedloop as cl
 from closedloop.record.report.tables import report_rows
 from closedloop.scenario.load import parse_scenario
-from closedloop.studies.gradient.quantities import Keys
+from closedloop.studies.gradient.differences import Keys
 
 BOX = """
 [robot]

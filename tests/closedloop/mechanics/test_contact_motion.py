@@ -10,7 +10,7 @@ from budget import budget
 from scipy.integrate import quad
 
 import closedloop as cl
-from closedloop.record.report.run_values import contact_rows, share_not_determined
+from closedloop.record.report.summary import contact_rows, share_not_determined
 
 
 def examine(run, mu, gap, rise=1e-8):

@@ -10,15 +10,7 @@ import closedloop as cl
 from closedloop.jit.interpreted import interpreted
 from closedloop.loop.step.record_row import RECORDED
 from closedloop.mechanics.closure.contact_force import FREE, PRESSED, STUCK
-from closedloop.record.report import run_values as values_module
-from closedloop.record.report.measured import (
-    Tally,
-    Values,
-    begin_tally,
-    count_condition,
-    count_row,
-    write_values,
-)
+from closedloop.record.report import summary as values_module
 from closedloop.record.report.measures import (
     LEAST_TORQUE,
     MOST_GROWTH,
@@ -30,14 +22,20 @@ from closedloop.record.report.measures import (
     JointLimits,
     Scale,
     Signal,
+    Tally,
+    Values,
     alternation,
     assumptions_met,
+    begin_tally,
+    count_condition,
+    count_row,
     count_signal,
     energy_left,
     friction_power,
     joint_limits,
+    write_values,
 )
-from closedloop.record.report.run_values import columns_of, run_values
+from closedloop.record.report.summary import columns_of, run_values
 
 SLIDE = {"time.duration": 0.3, "law.pd_start": 0.1, "reference.start": 0.1}  # the motion starts within
 RUNS = {

@@ -22,8 +22,7 @@ from closedloop.mechanics.closure.baumgarte import largest_stable_ratio, spectra
 from closedloop.mechanics.integrators import ADAPTIVE, INTEGRATORS, Integrator
 from closedloop.scenario.load import parse_scenario
 from closedloop.scenario.messages import key_unit
-from closedloop.studies.sweep.design import Design, parse_axis
-from closedloop.studies.sweep.sweep import Sweep
+from closedloop.studies.sweep.sweep import Design, Sweep, parse_axis
 
 ROOT = File(__file__).resolve().parents[3]
 RALSTON = '''

@@ -10,8 +10,7 @@ from matplotlib.figure import Figure
 
 import closedloop as cl
 from closedloop.__main__ import main
-from closedloop.studies.analysis.figures import bode, nyquist, poles, sensitivity, stability_map
-from closedloop.studies.analysis.page import page_of
+from closedloop.studies.analysis.page import bode, nyquist, page_of, poles, sensitivity, stability_map
 from closedloop.studies.analysis.stability import FIRST_LOOKS, Range, Stability
 
 GAIN = ("--law.force_integral", "20", "--at", "1")
@@ -115,7 +114,7 @@ def test_figures_and_a_map(command_line, tmp_path, monkeypatch):
     """With --out the numbers and the figures are written, with two keys a map among them."""
     drawn = []
     monkeypatch.setattr(
-        "closedloop.studies.analysis.figures.write_figure",
+        "closedloop.studies.analysis.page.write_figure",
         lambda figure, path, formats: drawn.append((path.name, figure)) or path,
     )
     said = command_line(

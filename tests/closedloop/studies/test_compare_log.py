@@ -10,8 +10,16 @@ import pytest
 
 import closedloop as cl
 from closedloop.command.compare import main
-from closedloop.studies.comparison.explain import Hypothesis, alike_rows, explain, of_joints, of_torques
-from closedloop.studies.comparison.recording import Recording, of_run, read_recording
+from closedloop.studies.comparison.recording import (
+    Hypothesis,
+    Recording,
+    alike_rows,
+    explain,
+    of_joints,
+    of_run,
+    of_torques,
+    read_recording,
+)
 from closedloop.studies.identify.log import LogError
 
 

@@ -16,8 +16,8 @@ from closedloop.simulation.cache import Cache
 from closedloop.simulation.engines.dual_loop import prepared
 from closedloop.simulation.prepare import prepare
 from closedloop.studies.gradient import differences, exact
+from closedloop.studies.gradient.differences import SHARE, Keys, output
 from closedloop.studies.gradient.exact import SHARE_OFF, not_unique, seeds_of
-from closedloop.studies.gradient.quantities import SHARE, Keys, output
 from tests.closedloop.linear_loops import DAMPING, MASS, STIFFNESS, mass_on_a_spring
 
 FORCE, GAP, RESTITUTION = 10.0, 0.1, 0.6

@@ -6,8 +6,7 @@ from test_gradient import ACCELERATION, FORCE, GAP, RESTITUTION, ball, bounces, 
 
 import closedloop as cl
 from closedloop.studies.gradient import differences, exact
-from closedloop.studies.gradient.differences import ROUNDING, Estimate, Happening, Sample, one_sided, two_sided
-from closedloop.studies.gradient.quantities import Keys
+from closedloop.studies.gradient.differences import ROUNDING, Estimate, Happening, Keys, Sample, one_sided, two_sided
 from tests.closedloop.linear_loops import MASS
 
 

@@ -12,8 +12,7 @@ import closedloop as cl
 import robot_models
 from closedloop.base.errors import ModelError
 from closedloop.command.identify import main
-from closedloop.studies.identify.contact.compliance import _begin, _estimates
-from closedloop.studies.identify.contact.found import touch_of
+from closedloop.studies.identify.contact.found import _begin, _estimates, touch_of
 from closedloop.studies.identify.contact.identify_contact import impacts_of
 from closedloop.studies.identify.log import LogError
 

@@ -12,9 +12,8 @@ from scipy.spatial.transform import Rotation
 
 import closedloop as cl
 from closedloop.simulation.prepare import prepare
-from closedloop.studies.analysis.assembly import instant_of
+from closedloop.studies.analysis.assembly import Reduced, columns, instant_of
 from closedloop.studies.analysis.here import Here
-from closedloop.studies.analysis.reduced import Reduced, columns
 
 ALONG_N = ("contact", "law", "sensor", "delay", "filter", "hold")
 

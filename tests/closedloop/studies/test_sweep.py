@@ -17,10 +17,8 @@ import closedloop as cl
 from closedloop.base import files
 from closedloop.base.progress import progress_text
 from closedloop.command import sweep as sweep_command
-from closedloop.studies.sweep import join as join_module
 from closedloop.studies.sweep import store as store_module
-from closedloop.studies.sweep.design import Design, parse_axis
-from closedloop.studies.sweep.sweep import Sweep, run_sweep
+from closedloop.studies.sweep.sweep import Design, Sweep, parse_axis, run_sweep
 
 
 def small(keep=(), runs=6):
@@ -240,7 +238,7 @@ def test_no_value_that_was_given_is_dropped(capsys, tmp_path):
     line = refusal(capsys, *kinds, "--law.pd_start", "0.1", "--law.kd", "40")
     assert line.startswith("law.pd_start is given, and law.kind = 'hybrid' has no such key: sweep each kind with its")
     assert sweep(capsys, *kinds, "--law.kd", "40")[0] == 0
-    kept = json.loads(parquet.read_schema(out).metadata[join_module.METADATA.encode()])["identity"]["scenario"]
+    kept = json.loads(parquet.read_schema(out).metadata[store_module.METADATA.encode()])["identity"]["scenario"]
     assert tomllib.loads(kept)["law"]["kd"] == 40.0
 
 

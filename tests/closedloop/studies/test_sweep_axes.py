@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import closedloop as cl
-from closedloop.studies.sweep.design import BLOCK, Design, parse_axis
+from closedloop.studies.sweep.sweep import BLOCK, Design, parse_axis
 
 
 def values_of(text, drawn=False):

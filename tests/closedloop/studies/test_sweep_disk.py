@@ -11,9 +11,8 @@ from sweep_runs import Forked, sweep
 import closedloop as cl
 from closedloop.base.errors import OutputError
 from closedloop.base.files import write_whole
-from closedloop.studies.sweep.design import Design, parse_axis
 from closedloop.studies.sweep.store import Store
-from closedloop.studies.sweep.sweep import Sweep, run_sweep
+from closedloop.studies.sweep.sweep import Design, Sweep, parse_axis, run_sweep
 
 KEPT = (
     "wam_slide", "--time.duration", "0.2", "--over", "law.force=5:15:24", "--keep", "f,q", "--out", "t.parquet",

@@ -11,8 +11,7 @@ import closedloop as cl
 from closedloop.base.errors import ScenarioError
 from closedloop.command.sweep import main
 from closedloop.simulation.engines.law_source import law_digest
-from closedloop.studies.sweep.join import METADATA
-from closedloop.studies.sweep.store import law_of
+from closedloop.studies.sweep.store import METADATA, law_of
 
 LAWS = """
 import numba

@@ -117,10 +117,10 @@ def test_any_signal_at_any_moment_costs_nothing(tmp_path, whole, number):
 
 def test_an_interruption_while_columns_are_joined_leaves_no_file(capsys, tmp_path, monkeypatch):
     """Ctrl-C in the middle of the NetCDF file: it is ended between two parts, not within a call of HDF5."""
-    from closedloop.studies.sweep import join
+    from closedloop.studies.sweep import store
 
     waiting, main = threading.Event(), threading.main_thread().ident
-    create = join._create
+    create = store._create
 
     def slow(*arguments):
         create(*arguments)
@@ -128,7 +128,7 @@ def test_an_interruption_while_columns_are_joined_leaves_no_file(capsys, tmp_pat
         time.sleep(0.3)
         waiting.set()
 
-    monkeypatch.setattr(join, "_create", slow)
+    monkeypatch.setattr(store, "_create", slow)
     small = ("wam_slide", "--time.duration", "0.01", "--over", "law.force=5:15:6", "--keep", "f")
     status, _, err = sweep(capsys, *small, "--out", tmp_path / "t.parquet")
     assert (status, err.splitlines()[-1]) == LAST_LINES[signal.SIGINT]

@@ -25,18 +25,8 @@ from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.record.run import Run
 from closedloop.studies.comparison.recording import Recording, checked, read_recording
 from closedloop.studies.identify import motion
-from closedloop.studies.identify.contact.compliance import NAMES, compliance_of, friction_of
-from closedloop.studies.identify.contact.found import (
-    Part,
-    Sensor,
-    Touch,
-    Windows,
-    beside_torques,
-    of_free_rows,
-    touch_of,
-    touch_of_speed,
-    unknown,
-)
+from closedloop.studies.identify.contact import found as fits
+from closedloop.studies.identify.contact.found import Part, Sensor, Touch, unknown
 from closedloop.studies.identify.identify import Estimate
 from closedloop.studies.identify.log import LogError, check_positions
 from closedloop.studies.identify.motion import white_noise
@@ -348,10 +338,10 @@ def identify_contact(
     mechanics = Robot(model, tip)
     z = float(stats.norm.ppf(0.5 + 0.5 * confidence))
     if recording.q is None:
-        touch = touch_of_speed(recording, out)
+        touch = fits.touch_of_speed(recording, out)
         moves = touch.position
     else:
-        touch, moves = touch_of(recording, mechanics, out), recording.q
+        touch, moves = fits.touch_of(recording, mechanics, out), recording.q
         if not isinstance(log, Run):
             check_positions(moves, model, recording.source)
     if np.ptp(moves, axis=0).max() == 0.0:
@@ -362,12 +352,12 @@ def identify_contact(
         if recording.q is not None:
 
             def again(other: Recording) -> list[Part]:
-                return _beside_force(other, mechanics, touch_of(other, mechanics, out), at, delay, z)[0]
+                return _beside_force(other, mechanics, fits.touch_of(other, mechanics, out), at, delay, z)[0]
 
             _allow_for_counts(recording, parts, at, z, again)
     else:
         why = "the log has no force: name its columns, as in force=fx,fy,fz"
-        units = (("friction", "1"), ("viscous_friction", "N s/m"), *NAMES)
+        units = (("friction", "1"), ("viscous_friction", "N s/m"), *fits.NAMES)
         parts.append(Part("force, N", [unknown(name, unit, why) for name, unit in units]))
     parts.append(restitution_of(touch.time, touch.height, confidence))
     closed, free = (float(np.mean(rows)) for rows in (touch.closed, touch.free))
@@ -378,25 +368,25 @@ def _beside_force(
     recording: Recording, mechanics: Robot, touch: Touch, cutoff: float | None, delay: float | None, z: float
 ) -> tuple[list[Part], float]:
     """Return what is found of the sensor, the surface and friction, and the cutoff, Hz."""
-    windows = Windows.of(touch, cutoff)
-    sensor = of_free_rows(windows, np.asarray(mechanics.model.pinocchio_model().gravity.linear), z)
-    beside = beside_torques(recording, mechanics, touch, cutoff, z)
+    windows = fits.Windows.of(touch, cutoff)
+    sensor = fits.of_free_rows(windows, np.asarray(mechanics.model.pinocchio_model().gravity.linear), z)
+    beside = fits.beside_torques(recording, mechanics, touch, cutoff, z)
     if delay is not None:
         sensor.read_late(delay, 0.0)
-    surface = compliance_of(windows, sensor, z)
+    surface = fits.compliance_of(windows, sensor, z)
     if delay is None:
         late = [e for e in (*beside.estimates, *surface.estimates) if "delay" in e.name and not e.why]
         _read_late(sensor, late, z)
         if any(e.name == "sensor_delay" for e in late):  # which tells damping and delay apart
             own = [e for e in surface.estimates if e.name == "delay" and not e.why]
-            surface = compliance_of(windows, sensor, z)
+            surface = fits.compliance_of(windows, sensor, z)
             surface.estimates += own
     if recording.q is None:
         why = "the log has no positions: its heights are those above the first row"
         surface.estimates = [
             unknown(e.name, e.unit, why) if e.name == "surface_offset" else e for e in surface.estimates
         ]
-    return [sensor.part, beside, surface, friction_of(windows, sensor, z)], windows.cutoff
+    return [sensor.part, beside, surface, fits.friction_of(windows, sensor, z)], windows.cutoff
 
 
 def _allow_for_counts(

@@ -24,7 +24,7 @@ from closedloop.base.files import write_whole
 from closedloop.control.law import LawInput
 from closedloop.gym.core import Core
 from closedloop.gym.env import ContactVectorEnv
-from closedloop.gym.task import TASKS, Task
+from closedloop.gym.terms import TASKS, Task
 
 # The parts, the words for them in a law, and scales: a force error of 10 N, a sum of 1 N s.
 FEATURES = {

@@ -79,11 +79,12 @@ def _analyse(study: Stability, ranges: list[tuple[Range, int]], folder: Path | N
     else:
         print("\n".join([*page.lines(), *lines]))
     if folder is not None:
-        from closedloop.studies.analysis.page import draw_page, written
+        from closedloop.figures.files import write_figure
+        from closedloop.studies.analysis.page import draw_page
 
         paths = [write_whole(folder / "analysis.json", (json.dumps(report, indent=2) + "\n").encode())]
         paths += draw_page(page, folder, formats_of(options))
-        paths += [written(figure, folder / name, formats_of(options)) for name, figure in drawn]
+        paths += [write_figure(figure, folder / name, formats_of(options)) for name, figure in drawn]
         if not options.json:
             print(what_was_written(*paths))
 

@@ -9,18 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.base.arrays import Array
-from closedloop.figures import style
+from closedloop.figures import motion, style
 from closedloop.figures.force import FLAT, draw_forces, draw_measured, link_contacts
-from closedloop.figures.motion import (
-    AT_REST,
-    ROUNDING,
-    bodies,
-    directions,
-    frame_of,
-    has_bodies,
-    rests,
-    tip_errors,
-)
+from closedloop.figures.motion import AT_REST, bodies, directions, frame_of, has_bodies, rests, tip_errors
 from closedloop.mechanics.closure.contact_force import FREE
 from closedloop.record.run import Run
 
@@ -30,11 +21,9 @@ if TYPE_CHECKING:
 
 
 _STABILISED = {
-    "baumgarte": "with Baumgarte's stabiliser",
-    "projection": "with projection",
-    "both": "with Baumgarte's stabiliser and projection",
-    "none": "without stabiliser",
-}
+    "baumgarte": "with Baumgarte's stabiliser", "projection": "with projection",
+    "both": "with Baumgarte's stabiliser and projection", "none": "without stabiliser",
+}  # fmt: skip
 
 
 def closure_error(run: Run, ax: Axes | Sequence[Axes] | None = None) -> Figure:
@@ -49,16 +38,11 @@ def closure_error(run: Run, ax: Axes | Sequence[Axes] | None = None) -> Figure:
     what = "Position of the tip relative to the soft surface; e < 0: inside" if soft else f"Closure error, {how}"
     both = bool(np.any(touching) and not np.all(touching))
     figure, drawn = style.panels(2 if both else 1, 4.8 if both else 3.4, ax)
+    unit = _draw(drawn[0], run, run.closure_error)
     if np.all(touching):
-        unit = _draw(drawn[0], run, run.closure_error)
-        style.dress(
-            drawn[0],
-            run,
-            what if soft or run.scenario.surface.kind != "plane" else f"Closure error e = n·r − d, {how}",
-            f"e [{unit}]",
-        )
+        title = what if soft or run.scenario.surface.kind != "plane" else f"Closure error e = n·r − d, {how}"
+        style.dress(drawn[0], run, title, f"e [{unit}]")
     else:
-        unit = _draw(drawn[0], run, run.closure_error)
         style.dress(drawn[0], run, "Gap e", f"e [{unit}]", show_events=not both)
     if both:
         unit = _draw(drawn[1], run, np.where(touching, run.closure_error, np.nan))
@@ -198,7 +182,7 @@ def _draw_tip_errors(axes: Axes, run: Run) -> None:
     names = ("along the path", "across", "normal") if moves else ("t1", "t2", "normal")
     for k in np.argsort([-float(np.max(np.abs(each))) for each in errors]):  # the largest is at the back
         size = float(np.max(np.abs(errors[k])))
-        told = f"{names[k]} ≤ {style.length_text(size)}" if size > max(rounding, ROUNDING) else f"{names[k]} ≈ 0"
+        told = f"{names[k]} ≤ {style.length_text(size)}" if size > max(rounding, motion.ROUNDING) else f"{names[k]} ≈ 0"
         axes.plot(run.time, factor * errors[k], color=style.COLOURS[k], label=told)
     axes.margins(y=0.12)
     style.mark_rounding(axes, largest, rounding, factor)
@@ -250,7 +234,9 @@ def _draw_path(axes: Axes, run: Run, seen: Array, wanted: Array, wide: bool) -> 
         axes.get_figure(root=True).colorbar(  # type: ignore[union-attr]
             pieces, ax=axes, label="f [N]", extend="both", pad=0.02
         )
-    axes.set_title(f"Path, seen {'from above the surface' if run.scenario.has_surface else _from(frame_of(run)[0])}")
+    normal = frame_of(run)[0]
+    from_there = "from above" if normal[2] == 1.0 else f"from ({', '.join(f'{x:.3g}' for x in normal)})"
+    axes.set_title(f"Path, seen {'from above the surface' if run.scenario.has_surface else from_there}")
     axes.set(xlabel="along [mm]", ylabel=f"across [{unit}]")
     if wide:
         axes.set_aspect("equal", adjustable="datalim")
@@ -258,8 +244,3 @@ def _draw_path(axes: Axes, run: Run, seen: Array, wanted: Array, wide: bool) -> 
         axes.margins(y=0.3)
         style.widen(axes, 2.0 * across * THIN * length)
     style.legend_beside_title(axes)
-
-
-def _from(normal: Array) -> str:
-    """Return in words whence a path is seen where there is no surface."""
-    return "from above" if normal[2] == 1.0 else f"from ({', '.join(f'{x:.3g}' for x in normal)})"

@@ -338,12 +338,11 @@ def friction_force(run: Run, ax: Axes | Sequence[Axes] | None = None) -> Figure:
     across = sideways(run, along)
     slip = np.where(run.mode != FREE, np.sum(run.slip_velocity * along, axis=1), np.nan)
     figure, (above, below) = style.panels(2, 4.8, ax)
-    for (bound, name, stroke), (level, *_) in zip(
-        friction_bounds(run), friction_levels(run.scenario.friction), strict=True
-    ):
-        for sign in (1.0, -1.0):
-            label = f"±({name}), μ = {level:g}" if "+" in name else f"±{name}, μ = {level:g}"
-            above.plot(run.time, sign * bound, stroke, color="0.6", linewidth=1.8, label=label if sign > 0 else None)
+    levels = friction_levels(run.scenario.friction)
+    for (bound, name, stroke), (level, *_) in zip(friction_bounds(run), levels, strict=True):
+        for sign, label in ((1.0, f"±({name})" if "+" in name else f"±{name}"), (-1.0, "")):
+            named = f"{label}, μ = {level:g}" if label else None
+            above.plot(run.time, sign * bound, stroke, color="0.6", linewidth=1.8, label=named)
     above.plot(run.time, np.sum(force * along, axis=1), color=style.COLOURS[0], label="along the path")
     beside = np.sum(force * across, axis=1)
     if np.max(np.abs(beside)) > ASIDE * np.max(np.abs(force)):
@@ -428,15 +427,11 @@ def draw_forces(axes: Axes, run: Run) -> list[tuple[Drawn, dict[str, Any]]]:
     pressed = [k for k in largest if np.any(each[k].force(run) > 0.0)] or largest[:1]
     shown = sorted(pressed[: style.MOST_CURVES])
     # Contacts on either side are often equal: the first are drawn broader, so that they are seen behind the last.
-    styles: list[tuple[Drawn, dict[str, Any]]] = [
-        (
-            each[k],
-            {"color": style.MANY[at % len(style.MANY)], "linewidth": 1.2 + WIDER * (len(shown) - 1 - at) / len(shown)},
-        )
-        for at, k in enumerate(shown)
-    ]
-    for drawn, look in styles:
-        axes.plot(run.time, drawn.force(run), label=drawn.name, **look)
+    styles: list[tuple[Drawn, dict[str, Any]]] = []
+    for at, k in enumerate(shown):
+        wide = 1.2 + WIDER * (len(shown) - 1 - at) / len(shown)
+        styles.append((each[k], {"color": style.MANY[at % len(style.MANY)], "linewidth": wide}))
+        axes.plot(run.time, each[k].force(run), label=each[k].name, **styles[-1][1])
     style.widen(axes, FLATTEST * max(abs(end) for end in axes.get_ylim()))
     those = f", the {len(shown)} largest of {len(pressed)}" if len(shown) < len(pressed) else ""
     style.dress(axes, run, f"Contact forces{summed}{those}", "f [N]", show_events=False)

@@ -118,13 +118,8 @@ def tip_position(run: Run, ax: Axes | Sequence[Axes] | None = None) -> Figure:
         factor, unit = style.length_unit(float(sizes[small].max()))
         for k in small:
             below.plot(run.time, factor * moved[:, k], style.STROKES[k], color=style.COLOURS[k], label="xyz"[k])
-        style.dress(
-            below,
-            run,
-            "Displacement off the path" if slide else "Small components of the displacement",
-            f"[{unit}]",
-            label_marks=False,
-        )
+        title = "Displacement off the path" if slide else "Small components of the displacement"
+        style.dress(below, run, title, f"[{unit}]", label_marks=False)
         style.legend_beside_title(below)
     return style.finished(figure, drawn, run)
 
@@ -343,14 +338,11 @@ def bodies(run: Run, ax: Axes | Sequence[Axes] | None = None) -> Figure:
     if rise > max(AT_REST, FLAT * furthest) or max(furthest, most) <= AT_REST:
         drawn.append(({name: 1e3 * motions[name][0][:, 2] for name in shown}, "Height", HEIGHT))
     if furthest > AT_REST:
-        label = f"√(Δx² + Δy²) [{unit}]"
-        drawn.append(
-            ({name: factor * each for name, each in across.items()}, "Horizontal distance from the start", label)
-        )
+        shifts, label = {name: factor * each for name, each in across.items()}, f"√(Δx² + Δy²) [{unit}]"
+        drawn.append((shifts, "Horizontal distance from the start", label))
     if most > AT_REST:
-        drawn.append(
-            ({name: np.degrees(each) for name, each in angles.items()}, "Rotation from the start", "angle [°]")
-        )
+        turns = {name: np.degrees(each) for name, each in angles.items()}
+        drawn.append((turns, "Rotation from the start", "angle [°]"))
     figure, on = style.panels(len(drawn), 1.6 + 1.6 * len(drawn), ax)
     those = f"the {len(shown)} of {len(motions)} bodies that move most" if len(shown) < len(motions) else ""
     for axes, (curves, title, label) in zip(on, drawn, strict=True):
@@ -359,10 +351,8 @@ def bodies(run: Run, ax: Axes | Sequence[Axes] | None = None) -> Figure:
         axes.margins(y=0.12)
         if label == HEIGHT:
             style.widen(axes, LEAST * 1e3 * max(furthest, *size.values()))
-        first, last = axes is on[0], axes is on[-1]
-        style.dress(
-            axes, run, f"{title}: {those}" if first and those else title, label, label_marks=first, show_events=last
-        )
+        first, title = axes is on[0], f"{title}: {those}" if axes is on[0] and those else title
+        style.dress(axes, run, title, label, label_marks=first, show_events=axes is on[-1])
     style.legend_outside(figure, "upper center", on[0].get_legend_handles_labels()[0], 4, axes=on[0])
     return style.finished(figure, on, run)
 

@@ -39,25 +39,12 @@ OTHERS = "0.75"
 # Curves that are drawn in one panel, at most.
 MOST_CURVES = 8
 STYLE: dict[str, Any] = {
-    "font.size": 10,
-    "axes.titlesize": 11,
-    "axes.titlelocation": "left",
-    "axes.grid": True,
-    "legend.frameon": True,
-    "legend.framealpha": 0.9,
-    "legend.edgecolor": "none",
-    "lines.linewidth": 1.2,
-    "grid.alpha": 0.3,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.formatter.useoffset": False,
-    "hatch.linewidth": 0.5,
-    "svg.fonttype": "none",
-    "pdf.fonttype": 42,
-    "ps.fonttype": 42,
-    "svg.hashsalt": "closedloop",
-    "savefig.dpi": 150,
-}
+    "font.size": 10, "axes.titlesize": 11, "axes.titlelocation": "left", "axes.grid": True, "grid.alpha": 0.3,
+    "axes.spines.top": False, "axes.spines.right": False, "axes.formatter.useoffset": False,
+    "legend.frameon": True, "legend.framealpha": 0.9, "legend.edgecolor": "none", "lines.linewidth": 1.2,
+    "hatch.linewidth": 0.5, "svg.fonttype": "none", "pdf.fonttype": 42, "ps.fonttype": 42,
+    "svg.hashsalt": "closedloop", "savefig.dpi": 150,
+}  # fmt: skip
 
 
 # Inches: the width of a page, and how wide figures are drawn and with which font, points, where one is asked for.

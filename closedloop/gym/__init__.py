@@ -14,8 +14,7 @@ try:
 except ImportError:  # the extra is not installed
     raise ImportError('closedloop.gym needs Gymnasium: pip install "closedloop[gym]"') from None
 
-from closedloop.gym.task import TASKS, Task
-from closedloop.gym.terms import Now, Range
+from closedloop.gym.terms import TASKS, Now, Range, Task
 
 __all__ = ["TASKS", "Now", "Range", "Task"]
 

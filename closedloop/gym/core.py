@@ -12,8 +12,7 @@ from gymnasium.utils.seeding import np_random
 
 from closedloop.base.arrays import Array, IntArray, Mask
 from closedloop.base.errors import ScenarioError
-from closedloop.gym.task import Task
-from closedloop.gym.terms import PARTS, POSTURE, TRUTH, Now, Observations, as_ranges, as_terms, drawn
+from closedloop.gym.terms import PARTS, POSTURE, TRUTH, Now, Observations, Task, as_ranges, as_terms, drawn
 from closedloop.jit.parameters import parameter_block
 from closedloop.scenario.arm import start_positions
 from closedloop.scenario.load import Variants

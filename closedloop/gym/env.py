@@ -15,7 +15,7 @@ from closedloop.base.arrays import Array, Mask
 from closedloop.base.errors import ScenarioError
 from closedloop.base.second_process import cores
 from closedloop.gym.core import Core
-from closedloop.gym.task import Task, task_of
+from closedloop.gym.terms import Task, task_of
 
 Observation = Any
 RENDER_MODES = ("rgb_array", "human")

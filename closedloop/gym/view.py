@@ -62,7 +62,7 @@ class Browser:
     """The arm in the browser: the lab's page, on this computer alone, brought up to date at each step."""
 
     def __init__(self, core: Core) -> None:
-        from closedloop.lab.shown import Shown
+        from closedloop.lab.history import Shown
 
         self._core = core
         self._run: dict[str, Any] | None = None

@@ -73,14 +73,16 @@ class Picture:
         if scene.marks:
             self._space.scatter(*np.array([mark.position for mark in scene.marks]).T, color="#CC79A7", s=12)
         self._frame_view(view)
-        parts: list[Any] = [Line2D([], [], color=ARROWS[kind], linewidth=2, label=kind) for kind in self.scene.kinds]
-        parts += [Patch(color=COLOUR, alpha=OPACITY, label=ghost.name) for ghost in self.scene.ghosts]
+        parts: list[Any] = [Line2D([], [], color=ARROWS[kind], linewidth=2, label=kind) for kind in scene.kinds]
+        parts += [Patch(color=COLOUR, alpha=OPACITY, label=ghost.name) for ghost in scene.ghosts]
         self._space.legend(handles=parts, loc="upper left", fontsize=8)
         self._clock, self._cursor = figure.text(0.985, 0.985, "", ha="right", va="top", family="monospace"), None
         self._moving = [self._done, *self._arrows.values(), self._clock]
         if panel:
             self._cursor = self._draw_curves(figure.add_subplot(grid[1]), panel)
-            figure.suptitle(self._title())
+            name, robot = run.scenario.name, run.model.name
+            whose = "" if robot in ("none", name) else f" ({robot})"
+            figure.suptitle(f"{name}{whose}, 10 N = {10.0 * scene.metres_per_newton:.2g} m")
             self._moving.append(self._cursor)
         for part in self._moving:
             part.set_animated(True)  # left out of what is drawn once
@@ -115,12 +117,6 @@ class Picture:
 
     def _line(self, colour: Any) -> Any:
         return self._space.plot([], [], [], "-", color=colour, linewidth=2)[0]
-
-    def _title(self) -> str:
-        run, scale = self.scene.run, f"10 N = {10.0 * self.scene.metres_per_newton:.2g} m"
-        name = run.scenario.name
-        robot = "" if run.model.name in ("none", name) else f" ({run.model.name})"
-        return f"{name}{robot}, {scale}"
 
     def _draw_curves(self, plot: Any, panel: Panel) -> Any:
         """Draw the curves, and return the line that marks the instant."""

@@ -1,8 +1,8 @@
-"""The lab: a scenario, the run of it as it is now, and the pages that show it.
+"""The lab: a scenario, the run of it as it is now or the one line that says what is wrong, and the pages that show it.
 
 Each kind of work has a thread of its own, and of what comes meanwhile takes the newest (`Newest`): runs, whose curves
 are sent at once; what follows when the slider rests (`closedloop.lab.details`); and maps. A thread for each page takes
-what it says (`closedloop.lab.actions`). The scenarios that ship are shown as cards, with a picture of the robot at its
+what it says (`closedloop.lab.start`). The scenarios that ship are shown as cards, with a picture of the robot at its
 start.
 """
 
@@ -11,29 +11,192 @@ import logging
 import sys
 import threading
 import time as clock
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Hashable, Sequence
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from closedloop.base.errors import ClosedLoopError
+import numpy as np
+
+from closedloop.base.arrays import Array
+from closedloop.base.errors import ClosedLoopError, ScenarioError, SimulationError, one_line
+from closedloop.base.interrupts import held_back
 from closedloop.figures.scene.scene import scene_of
-from closedloop.figures.scene.solids import Ghost
-from closedloop.lab.answers import Answer, Answers
+from closedloop.figures.scene.solids import Ghost, compile_rows
+from closedloop.jit.background import compiling_notice
+from closedloop.jit.kernel import needs_compiling
 from closedloop.lab.controls import Changes, Control, all_controls, begin_values, rows_in_groups
 from closedloop.lab.curves import Panel, beside, panels
 from closedloop.lab.drawn import Message, curves, frames, pack, robot_message, run_message, space_message
-from closedloop.lab.history import IN_A_FILE, History, Pins, hello, page
-from closedloop.lab.server import FIRST_PORT, RUN, Client, Newest, Server, in_notebook, new_token, proxied
+from closedloop.lab.history import IN_A_FILE, History, Pages, Pins, hello, page
+from closedloop.lab.server import FIRST_PORT, RUN, Client, Newest, in_notebook, proxied
+from closedloop.loop.events.table import EVENT_WIDTH
+from closedloop.mechanics.integrators import ADAPTIVE
 from closedloop.record.run import Run
 from closedloop.scenario.load import load_scenario, shipped_scenarios
 from closedloop.scenario.messages import variants
 from closedloop.scenario.scenario import Scenario
 from closedloop.scenario.tables import ALL
-from closedloop.simulation.prepare import prepare
-from closedloop.simulation.simulate import law_name, simulate
+from closedloop.simulation.cache import Cache
+from closedloop.simulation.engines.law_source import fresh, law_digest
+from closedloop.simulation.engines.loops import COMPILED, PINOCCHIO, kernels_of
+from closedloop.simulation.prepare import load_model, model_key, prepare
+from closedloop.simulation.simulate import as_run, check_engine, law_name, run_loop, simulate
 from robot_models import RobotModel
+
+NO_EVENTS = np.zeros((0, EVENT_WIDTH))
+# Steps of the run with which a loop is compiled.
+FEW = 3
+# A run that takes longer than this, s, shows what is done of it, this often: not just before its end.
+SLOW = 0.1
+# The first part is shown as soon as it is clear that the run takes that long, if so large a share of SLOW is left.
+LEFT = 0.3
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What came of some changes."""
+
+    changes: Changes
+    key: str  # the key that was changed last, "" if none was
+    run: Run | None  # the run, until where it stopped; None if nothing ran
+    fault: str = ""  # what is wrong with the input, "" if nothing is
+    stopped: str = ""  # why the run stopped before its end, "" if it did not
+    seconds: float = 0.0  # time that it took, s, without compiling
+    effort: float = 0.0  # time of a processor that it took, s: not longer while other programs are at work
+
+
+class Answers:
+    """Answers changes of one scenario.
+
+    `law`: a user's law, see `closedloop.simulate`.
+    `say`: takes a line while something is compiled or takes long, and "" when it is done.
+    `part`: takes a `Run` until where it is, again and again, of one that takes long.
+    """
+
+    def __init__(
+        self, history: History, law: Any = None, model: RobotModel | None = None,
+        say: Callable[[str], None] = lambda line: None, part: Callable[[Run], None] = lambda run: None,
+    ) -> None:  # fmt: skip
+        self._part = part
+        self._cache = Cache()
+        self._history, self.law, self._given, self._say = history, law, model, say
+        self._models: dict[Hashable, RobotModel] = {}
+        self._ready: set[tuple[Any, ...]] = set()
+        self._began = self._worked = 0.0
+
+    def answer(self, changes: Changes, key: str = "") -> Answer:
+        """Run the scenario with these changes; `key` is the one changed last."""
+        self._begin_clocks()
+
+        def took(run: Run | None, **more: str) -> Answer:
+            seconds, effort = clock.perf_counter() - self._began, clock.thread_time() - self._worked
+            return Answer(changes, key, run, seconds=seconds, effort=effort, **more)
+
+        try:
+            scenario = self._history.scenario(changes)
+            return took(self._run(scenario))
+        except SimulationError as error:
+            run = error.run if error.run is not None and len(error.run) else None
+            return took(run, stopped=one_line(str(error)))
+        except ClosedLoopError as error:
+            return took(None, fault=one_line(str(error)).removeprefix(f"{self._history.base.name}: "))
+        except MemoryError:
+            return took(None, fault="out of memory: ask for fewer steps")
+
+    def _begin_clocks(self) -> None:
+        self._began, self._worked = clock.perf_counter(), clock.thread_time()
+
+    def _run(self, scenario: Scenario) -> Run:
+        model, engine = self.model(scenario), self.engine(scenario)
+        if self._compile(scenario, model, engine):
+            self._begin_clocks()  # what is compiled once is no part of what a run takes
+        law = fresh(self.law)
+        with held_back():
+            problem = prepare(scenario, model, self._cache)
+        rows = np.empty((problem.steps + 1, problem.row_width))
+        name, digest = ("scenario", "") if law is None else (law_name(law), law_digest(law))
+
+        def made(some: Array, events: Array, seconds: float, stopped: str | None = None) -> Run:
+            return as_run(
+                problem, some, events, seconds, engine, law=(name, digest), with_states=law is None, stopped=stopped
+            )  # fmt: skip
+
+        began = shown = clock.perf_counter()
+
+        def report(done: int, total: int) -> None:
+            nonlocal shown
+            now = clock.perf_counter()
+            left = (now - began) * (total - done) / max(done, 1)
+            first = shown == began and now - began + left > SLOW and left > LEFT * SLOW
+            if (first or (now - shown > SLOW and left > SLOW)) and 1 < done < total:
+                if now - began > SLOW:
+                    self._say(f"computing ... {done / total:.0%}")
+                if problem.tolerance is None:  # whose rows are elsewhere
+                    self._part(made(rows[:done], NO_EVENTS, 0.0))
+                shown = clock.perf_counter()
+
+        try:
+            found, events, failure, seconds = run_loop(problem, law, report, engine, rows=rows)
+        finally:
+            if shown > began:
+                self._say("")
+        run = made(found, events, seconds, None if failure is None else str(failure))
+        if failure is not None:
+            failure.run = run
+            raise failure
+        return run
+
+    def model(self, scenario: Scenario) -> RobotModel:
+        """Return the robot of a scenario, loaded once."""
+        if self._given is not None:
+            return self._given
+        key = model_key(scenario)
+        if key not in self._models:
+            self._models, self._cache = {key: load_model(scenario)}, Cache()
+        return self._models[key]
+
+    def engine(self, scenario: Scenario) -> str:
+        """Return the compiled engine where it covers the scenario and the law, else Pinocchio."""
+        if scenario.time.integrator in ADAPTIVE:
+            return PINOCCHIO
+        try:
+            check_engine(scenario, COMPILED, self.law)
+        except ScenarioError:
+            return PINOCCHIO
+        return COMPILED
+
+    def _compile(self, scenario: Scenario, model: RobotModel, engine: str) -> bool:
+        """Have compiled what a run of these kinds needs, here and now, and say so if it takes time.
+
+        Return whether these kinds are new.
+        """
+        kinds = (engine, scenario.time.integrator, *_kinds(scenario))
+        if kinds in self._ready or scenario.time.integrator in ADAPTIVE:
+            return False
+        few = min(FEW, round(scenario.time.duration / scenario.time.step))
+        short = scenario.time.model_copy(update={"duration": few * scenario.time.step})
+        problem = prepare(scenario.model_copy(update={"time": short}), model)
+        try:
+            if any(map(needs_compiling, kernels_of(engine))):
+                self._say(compiling_notice())
+            rows, events, _, seconds = run_loop(problem, fresh(self.law), engine=engine)
+            if len(rows):
+                as_run(problem, rows, events, seconds, engine)  # what makes a run of the rows has kernels of its own
+            if problem.robot.model.loops:
+                compile_rows(problem.robot)
+            self._ready.add(kinds)
+        finally:
+            self._say("")
+        return True
+
+
+def _kinds(scenario: Scenario) -> tuple[str, ...]:
+    """Return the kinds of a scenario's sections: they decide which loop runs."""
+    sections = (getattr(scenario, name) for name in type(scenario).model_fields)
+    return (scenario.surface.contact, *(str(getattr(section, "kind", "")) for section in sections))
+
 
 # Steps of the run of which a picture is.
 STEPS = 2
@@ -47,14 +210,6 @@ def cards() -> list[Message]:
     names = sorted(shipped_scenarios(), key=lambda name: name != FIRST_CARD)
     found = ((name, load_scenario(name).description) for name in names)
     return [{"name": name, "about": about[:1].upper() + about[1:]} for name, about in found]
-
-
-def pictures() -> Iterator[tuple[str, bytes]]:
-    """Yield each scenario's name and the message of its picture, of those that can be drawn."""
-    for card in cards():
-        data = picture(card["name"])
-        if data:
-            yield card["name"], data
 
 
 @lru_cache(maxsize=64)
@@ -89,7 +244,7 @@ SWITCH = 5e-4
 STOPPED = "The lab was closed. What is shown stays; open the lab again to go on."
 
 
-class Lab:
+class Lab(Pages):
     """A lab of one scenario, served to a browser.
 
     `law`: a user's law, see `closedloop.simulate`.
@@ -97,7 +252,7 @@ class Lab:
     `dark`: whether the page is dark, whatever the system prefers.
     `front`: whether the page begins with the scenarios that ship, to choose one.
     `ghosts`: bodies that are shown beside those of each run, until another scenario is chosen.
-    `act`, `details`, `map_work`: the parts that know the whole: `closedloop.lab.actions.act`,
+    `act`, `details`, `map_work`: the parts that know the whole: `closedloop.lab.start.act`,
         `closedloop.lab.details.Details`, `closedloop.lab.mapping.MapWork`; see `closedloop.lab.start.begun`.
     `after_show`, list of callable: called with each `Answer` whose curves were sent.
     `folder`, Path or None: where folders for files are made; "out" in the current folder if None.
@@ -110,13 +265,12 @@ class Lab:
         port: int = FIRST_PORT, dark: bool = False, front: bool = False, ghosts: Sequence[Ghost] = (),
         act: "Callable[[Lab, Client, Any], None]", details: "Callable[[Lab], Any]", map_work: "Callable[[Lab], Any]",
     ) -> None:  # fmt: skip
+        super().__init__()
         self.answer: Answer | None = None
         self.after_show: list[Callable[[Answer], None]] = []
         self.folder: Path | None = None
         self.pins, self.front = Pins(), front
-        self.clients: list[Client] = []
-        self._last: dict[str, bytes | Callable[[], bytes]] = {}
-        self._lock, self._count, self._dark = threading.RLock(), 0, dark
+        self._count = 0
         self._switch = sys.getswitchinterval()
         sys.setswitchinterval(min(SWITCH, self._switch))
         self._begin(history, law, model)
@@ -124,12 +278,10 @@ class Lab:
         prepare(history.base, self.answers.model(history.base))  # what cannot be run is refused before there is a page
         self.details, self.map = details(self), map_work(self)
         self._newest: Newest[Asked, tuple[Answers, Answer]] = Newest(self._compute, self._show)
-        self._token = new_token()
         theme = "dark" if dark else ""
-        self.server = Server(
-            host, port, self._token,
-            lambda nonce: page(f"closedloop: {self.history.base.name}", theme=theme, nonce=nonce), self._opened,
-            lambda client, message: act(self, client, message), self._closed, framed=in_notebook(),
+        self.listen(
+            host, port, lambda nonce: page(f"closedloop: {self.history.base.name}", theme=theme, nonce=nonce),
+            lambda client, message: act(self, client, message), in_notebook(),
         )  # fmt: skip
         self.refresh()
         self.ask("")
@@ -145,13 +297,6 @@ class Lab:
     def _controls(self, scenario: Scenario) -> dict[tuple[str, int | None], Control]:
         law = self.answers.law
         return all_controls(scenario, self.answers.model(scenario), "" if law is None else law_name(law))
-
-    @property
-    def url(self) -> str:
-        """The address of the page, with the token that lets in."""
-        host = self.server.host
-        host = "127.0.0.1" if host == "0.0.0.0" else f"[{host}]" if ":" in host else host
-        return f"http://{host}:{self.server.port}/?token={self._token}"
 
     @property
     def framed_url(self) -> str:
@@ -322,19 +467,9 @@ class Lab:
         else:
             self.forget("status")
 
-    def tell(self, slot: str, message: Message, keep: bool = True) -> None:
-        """Send a message to every page, and to those that open later if it is to be kept."""
-        data = pack(message)
-        with self._lock:  # a page that opens now has it among what is kept, or is sent it
-            if keep:
-                self._last[slot] = data
-            for client in list(self.clients):
-                client.put(slot, data)
-
-    def forget(self, *slots: str) -> None:
-        """Do not send these to pages that open later."""
-        for slot in slots:
-            self._last.pop(slot, None)
+    def forget(self, kind: str) -> None:
+        """Do not send this to pages that open later."""
+        self._last.pop(kind, None)
 
     def _hello(self, fresh: bool = False) -> None:
         base = self.history.base
@@ -358,19 +493,16 @@ class Lab:
         elif self.answer is not None:
             self.map.begin_by_itself(self.answer)
 
-    def _closed(self, client: Client) -> None:
-        if client in self.clients:
-            self.clients.remove(client)
-
     def show_gallery(self, client: Client, front: bool = False) -> None:
         """Send one page the scenarios that ship, and then their pictures one by one."""
         client.put("gallery", pack({"kind": "gallery", "cards": cards(), "open": True, "front": front}))
 
         def draw() -> None:
-            for name, data in pictures():
-                if client not in self.clients:
+            for name in [card["name"] for card in cards()]:
+                if (data := picture(name)) and client in self.clients:
+                    client.put(f"picture {name}", data)
+                elif client not in self.clients:
                     return
-                client.put(f"picture {name}", data)
 
         threading.Thread(target=draw, name="closedloop-gallery", daemon=True).start()
 

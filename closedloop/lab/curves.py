@@ -60,7 +60,9 @@ def span(
         )
         return _linear(min(least, value), max(most, value))
     if least >= 0.0 and value > 0.0 and unit not in ("", "N") and not _is_instant(key, unit):
-        low, high = math.log10(max(value / LOG_SPAN, _smallest(field))), math.log10(min(value * LOG_SPAN, most))
+        there = sizes(Annotated[field.annotation, *field.metadata, None])
+        smallest = max((size.least for size in there), default=0.0) or 1e-12
+        low, high = math.log10(max(value / LOG_SPAN, smallest)), math.log10(min(value * LOG_SPAN, most))
         return {"form": "log", "low": low, "high": high, "step": (high - low) / POSITIONS}
     if math.isfinite(least) and most <= 1.0:
         return _linear(least, most)
@@ -102,10 +104,6 @@ def _bounds(field: FieldInfo) -> tuple[float, float]:
     if any(size.why == "no drive is so stiff" for size in found) or field_units(field) & {"s", "1/s", "1/s²"}:
         least = max(least, 0.0)
     return least, most
-
-
-def _smallest(field: FieldInfo) -> float:
-    return max((size.least for size in sizes(Annotated[field.annotation, *field.metadata, None])), default=0.0) or 1e-12
 
 
 def _inner(annotation: Any) -> list[Any]:

@@ -3,14 +3,14 @@
 None of it may delay the next curves, so it waits for a rest, or for a while where the slider goes on moving.
 """
 
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
 
 from closedloop.base.errors import ClosedLoopError, one_line
 from closedloop.figures.scene.scene import Scene, scene_of
-from closedloop.lab.answers import Answer
-from closedloop.lab.app import Lab
+from closedloop.lab.app import Answer, Lab
 from closedloop.lab.controls import Changes
 from closedloop.lab.curves import margin_tiles, reduced, tiles, values
 from closedloop.lab.drawn import Message, robot_message, space_message, spread
@@ -72,7 +72,11 @@ class Details:
     def pinned(self) -> None:
         """Send the runs that are kept, and what is compared with them."""
         lab = self._lab
-        found = [{"name": p.name, "colour": p.colour, "panels": _mains(p)} for p in lab.pins.held]
+        found: list[Message] = []
+        for pin in lab.pins.held:  # of each panel the curve that stands for the run
+            few = [reduced(panel, float(pin.run.time[0]), float(pin.run.time[-1])) for panel in pin.panels]
+            mains = {p.name: {"time": p.time, "values": p.main.values, "factor": p.factor} for p in few}
+            found.append({"name": pin.name, "colour": pin.colour, "panels": mains})
         lab.tell("pins", {"kind": "pins", "pins": found})
         names = {pin.name for pin in lab.pins.held}
         self._pinned = {name: margins for name, margins in self._pinned.items() if name in names}
@@ -119,17 +123,19 @@ class Details:
         lab.wait_for_plots(GIVE_WAY)
         if run is None or answer is not lab.answer:
             return
-        if lab.answers.law is not None:
-            line = "a law that is a function is not linearised: make it a class of ControlLaw"
-        else:
-            line = ""
+        line = (
+            ""
+            if lab.answers.law is None
+            else "a law that is a function is not linearised: make it a class of ControlLaw"
+        )
+        if not line:
             try:
                 end = run.scenario.time.duration
                 at = 0.5 * end if self.at is None else min(self.at, end)
                 model = lab.answers.model(run.scenario)
                 problem = prepare(run.scenario, model, self._cache)
                 lab.wait_for_plots(GIVE_WAY)
-                instant = instant_of(run.scenario, problem, at, model)
+                instant = instant_of(problem, at, model)
                 lab.wait_for_plots(GIVE_WAY)
                 loop = loop_at(problem, instant)
                 lab.wait_for_plots(GIVE_WAY)
@@ -147,18 +153,12 @@ class Details:
         if answer is lab.answer:
             if self._began is not None and self._began[2] is None and not answer.changes:
                 self._began = (*self._began[:2], self._margins)
-            run = self._halved(run)
+            lab.wait_for_plots(GIVE_WAY)
+            with suppress(ClosedLoopError):  # the run itself stays where none at half its step can be simulated
+                run = beside_half(run, law=lab.answers.law, model=run.model)
             self._send_strip(run, run.summary())
             if lab.clients and not lab.front:
                 lab.map.begin_by_itself(answer)
-
-    def _halved(self, run: Run) -> Run:
-        """Return the run with its comparison with one at half the step, as it is where that cannot be simulated."""
-        self._lab.wait_for_plots(GIVE_WAY)
-        try:
-            return beside_half(run, law=self._lab.answers.law, model=run.model)
-        except ClosedLoopError:
-            return run
 
 
 def analysis_message(found: Overview) -> Message:
@@ -196,12 +196,3 @@ def compare_message(pins: list[Pin], run: Run, changes: Changes) -> Message:
 
 
 LESS_IS_BETTER = ("rms_force_error", "force_settled_at", "rms_path_error", "max_abs_closure_error")
-
-
-def _mains(pin: Pin) -> dict[str, Message]:
-    """Return the curve that stands for a pinned run in each of its panels."""
-    found: dict[str, Message] = {}
-    for panel in pin.panels:
-        few = reduced(panel, float(pin.run.time[0]), float(pin.run.time[-1]))
-        found[panel.name] = {"time": few.time, "values": few.main.values, "factor": panel.factor}
-    return found

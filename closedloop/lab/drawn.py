@@ -18,18 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.figures.motion import AT_REST
-from closedloop.figures.scene.scene import (
-    ARROWS,
-    JOINTS,
-    LOOP,
-    OUTSIDE,
-    PATH,
-    TOUCH,
-    WANTED,
-    Scene,
-    quaternions,
-    thin_out,
-)
+from closedloop.figures.scene import scene as space
+from closedloop.figures.scene.scene import JOINTS, LOOP, OUTSIDE, PATH, TOUCH, WANTED, Scene
 from closedloop.figures.scene.solids import COLOUR, OPACITY, Shape
 from closedloop.lab.curves import CELLS, Panel, column_names, column_panel, panels, reduced
 from closedloop.mechanics.closure.contact_force import FREE, PRESSED, STUCK
@@ -193,27 +183,22 @@ def space_message(
     if scenario.has_law or scenario.has_surface:
         lines.append(("desired path", WANTED, scene.run.reference_tip))
     lines = [line for line in lines if np.max(np.ptp(line[2], axis=0)) > AT_REST]
+    through = None  # what passes through what, in words, with the joints whose shapes do
+    if passing is not None and (text := passing_note(passing)):
+        model = scene.model.pinocchio_model()
+        links = [name for name in passing["between"] if model.existFrame(name)]
+        joints = [int(model.frames[model.getFrameId(name)].parentJoint) for name in links]
+        through = {"text": text, "joints": joints, "surface": len(links) < len(passing["between"])}
     return {
         "kind": "space", "size": scene.size, "usual": scene.usual_force,
         "whole": {"centre": middle, "radius": radius}, "near": {"centre": near, "radius": close},
         "normal": scene.run.surface_normal[0] if scene.ground.there else [0.0, 0.0, 1.0],
         "surface": {"vertices": vertices, "faces": np.asarray(faces, np.uint32)},
-        "arrows": [{"name": a.name, "kind": a.kind, "colour": ARROWS[a.kind]} for a in first],
-        "kinds": scene.kinds, "passing": _passing(scene, passing),
-        "paths": [{"name": n, "colour": c, "points": thin_out(points, MOST_POINTS)} for n, c, points in lines],
+        "arrows": [{"name": a.name, "kind": a.kind, "colour": space.ARROWS[a.kind]} for a in first],
+        "kinds": scene.kinds, "passing": through,
+        "paths": [{"name": n, "colour": c, "points": space.thin_out(points, MOST_POINTS)} for n, c, points in lines],
         "frames": frames(scene, rows, between),
     }  # fmt: skip
-
-
-def _passing(scene: Scene, clearance: Message | None) -> Message | None:
-    """Return what passes through what, in words, with the joints whose shapes do; None where nothing does."""
-    text = passing_note(clearance)
-    if clearance is None or not text:
-        return None
-    model = scene.model.pinocchio_model()
-    links = [name for name in clearance["between"] if model.existFrame(name)]
-    joints = [int(model.frames[model.getFrameId(name)].parentJoint) for name in links]
-    return {"text": text, "joints": joints, "surface": len(links) < len(clearance["between"])}
 
 
 def focus(scene: Scene) -> tuple[NDArray[np.float64], float]:
@@ -221,7 +206,7 @@ def focus(scene: Scene) -> tuple[NDArray[np.float64], float]:
     run, (whole, radius) = scene.run, scene.ball
     rows = np.unique(np.linspace(0, len(run) - 1, 12).round().astype(int))
     if scene.ground.there:
-        points = thin_out(run.position, 50)
+        points = space.thin_out(run.position, 50)
     elif scene.touching:
         points = np.array([a.tail for each in scene.arrows(rows) for a in each if a.kind == TOUCH])
     elif scene.joined.loops:
@@ -252,7 +237,7 @@ def frames(scene: Scene, rows: Rows, between: Callable[[], object] = lambda: Non
         there = scene.joint_places(int(row))
         (turn, shift), marks = scene.ground.place(int(row)), scene.joined.places(*there)
         ghosts = [ghost.place(float(run.time[row])) for ghost in scene.ghosts]
-        turns = quaternions(np.vstack([there[0], turn[None], marks[0], *(axes[None] for axes, _ in ghosts)]))
+        turns = space.quaternions(np.vstack([there[0], turn[None], marks[0], *(axes[None] for axes, _ in ghosts)]))
         if last is not None:  # of the two quaternions of a rotation that which is near the one before
             turns *= np.where(np.sum(turns * last, axis=1, keepdims=True) < 0.0, -1.0, 1.0)
         last = turns

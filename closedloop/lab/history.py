@@ -10,6 +10,7 @@ A run's page is the page of the lab without its server, in a file that needs no 
 import html
 import shlex
 import tempfile
+import threading
 import time as clock
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -23,8 +24,8 @@ from closedloop.figures.scene.scene import scene_of
 from closedloop.figures.scene.solids import Ghost
 from closedloop.lab.controls import Changes, toml_text
 from closedloop.lab.curves import Panel, panels, tiles
-from closedloop.lab.drawn import curves, in_text, robot_message, run_message, space_message, spread
-from closedloop.lab.server import in_notebook
+from closedloop.lab.drawn import Message, curves, in_text, pack, robot_message, run_message, space_message, spread
+from closedloop.lab.server import FIRST_PORT, RUN, Client, Server, in_notebook, new_token
 from closedloop.record.report.control_verdict import told
 from closedloop.record.report.measures import MEASURES
 from closedloop.record.report.verdict import names_of
@@ -323,7 +324,10 @@ def compared(pins: Sequence[Pin], run: Run, changes: Changes) -> list[tuple[str,
     """
     every = [*((pin.run, pin.changes) for pin in pins), (run, changes)]
     keys = dict.fromkeys(key for _, made in every for key in made)
-    rows = [(key, [toml_text(_value_of(each.scenario, key)) for each, _ in every]) for key in keys]
+    rows = []
+    for section, dot, name in (key.partition(".") for key in keys):
+        held = [getattr(getattr(each.scenario, section), name, None) for each, _ in every]
+        rows.append((f"{section}{dot}{name}", [toml_text(value) for value in held]))
     summaries = [each.summary() for each, _ in every]
     for name in VALUES:
         numbers = [summary.get(name) for summary in summaries]
@@ -333,11 +337,6 @@ def compared(pins: Sequence[Pin], run: Run, changes: Changes) -> list[tuple[str,
     return [*rows, ("control_verdict", [told(summary) for summary in summaries])]
 
 
-def _value_of(scenario: Any, key: str) -> Any:
-    section, _, name = key.partition(".")
-    return getattr(getattr(scenario, section), name, None)
-
-
 def _with_difference(number: float | None, now: float | None, differs: bool) -> str:
     if number is None:
         return "-"
@@ -345,3 +344,101 @@ def _with_difference(number: float | None, now: float | None, differs: bool) -> 
     if not differs or now is None or abs(number - now) <= ROUNDING * max(abs(number), abs(now)):
         return text
     return f"{text} ({number - now:+.2g})"
+
+
+# How long a page may take to be sent what is left at the end, s.
+PATIENCE = 10.0
+
+
+class Pages:
+    """The lab's page in any number of browsers; one that opens later is sent the newest message of each kind."""
+
+    def __init__(self) -> None:
+        self.clients: list[Client] = []
+        self._last: dict[str, bytes | Callable[[], bytes]] = {}
+        self._lock = threading.RLock()
+
+    def listen(
+        self,
+        host: str,
+        port: int,
+        page: Callable[[str], str],
+        said: Callable[[Client, Any], None],
+        framed: bool = False,
+    ) -> None:
+        """Serve the page, see `closedloop.lab.server.Server`, with a token of its own."""
+        self._token = new_token()
+        self.server = Server(host, port, self._token, page, self._opened, said, self._closed, framed)
+
+    @property
+    def url(self) -> str:
+        """The address of the page, with the token that lets in."""
+        host = self.server.host
+        host = "127.0.0.1" if host == "0.0.0.0" else f"[{host}]" if ":" in host else host
+        return f"http://{host}:{self.server.port}/?token={self._token}"
+
+    def tell(self, kind: str, message: Message, keep: bool = True) -> None:
+        """Send a message to every page, and to those that open later if it is to be kept."""
+        data = pack({"kind": kind, **message})
+        with self._lock:  # a page that opens now has it among what is kept, or is sent it
+            if keep:
+                self._last[kind] = data
+            for client in list(self.clients):
+                client.put(kind, data)
+
+    def _opened(self, client: Client) -> None:
+        with self._lock:
+            for kind, kept in self._last.items():
+                client.put(kind, kept if isinstance(kept, bytes) else kept())
+            self.clients.append(client)
+
+    def _closed(self, client: Client) -> None:
+        with self._lock:
+            if client in self.clients:
+                self.clients.remove(client)
+
+
+class Shown(Pages):
+    """The page of what another part of the program simulates: it is told what to draw, and moves nothing there.
+
+    `title`: the page's title until a message says another.
+    `host`, `port`: where it listens; the next free port is taken if this one is in use.
+    `run`: returns the message of the run for a page, by the part of the time and the columns that it has chosen.
+    Raises OutputError if it cannot listen there.
+    """
+
+    def __init__(
+        self, title: str, host: str = "127.0.0.1", port: int = FIRST_PORT,
+        run: Callable[[Client], Message | None] = lambda client: None,
+    ) -> None:  # fmt: skip
+        super().__init__()
+        self._run = run
+        self.listen(host, port, lambda nonce: page(title, nonce=nonce), self._said)
+
+    def tell_run(self) -> None:
+        """Send each page the run as it is now."""
+        for client in list(self.clients):
+            self._send_run(client)
+
+    def close(self) -> None:
+        """Send what is left, and stop listening."""
+        for client in list(self.clients):
+            client.wait(PATIENCE)
+            client.close()
+        self.server.close()
+
+    def _send_run(self, client: Client) -> None:
+        message = self._run(client)
+        if message is not None:
+            client.put(RUN, pack({"kind": RUN, **message}))
+
+    def _opened(self, client: Client) -> None:
+        super()._opened(client)
+        self._send_run(client)
+
+    def _said(self, client: Client, said: dict[str, Any]) -> None:
+        if said.get("do") == "shown":
+            client.drawn()
+        elif said.get("do") in ("window", "columns"):
+            client.choose(said)
+            self._send_run(client)

@@ -17,8 +17,7 @@ from closedloop.base.errors import ClosedLoopError, ScenarioError, one_line
 from closedloop.base.sections import Section
 from closedloop.jit.background import refused, seconds_to_compile, start
 from closedloop.jit.kernel import needs_compiling
-from closedloop.lab.answers import Answer
-from closedloop.lab.app import Lab
+from closedloop.lab.app import Answer, Lab
 from closedloop.lab.controls import DAMPING, STIFFNESS, Control, group_of
 from closedloop.lab.drawn import Message
 from closedloop.lab.server import Newest

@@ -162,7 +162,7 @@ FIRST_PORT, LAST_PORT, PORTS = 8080, 65535, 100  # how many are tried, one after
 
 # The slot of runs; a page that has not said for so long, s, that it has drawn the last is sent another anyway.
 RUN, FORGOTTEN = "run", 5.0
-LONGEST = 1_000_000  # bytes of what a page says
+LONGEST, MOST_COLUMNS = 1_000_000, 8  # bytes of what a page says; columns that it may show
 PING = 20.0  # s, after so long a page without news is asked whether it is still there
 # Pages that may be open; sockets that have not asked for anything yet, and how long, s, they may take to.
 PAGES, HALF_OPEN, PATIENCE = 32, 16, 5.0
@@ -171,6 +171,12 @@ POLICY = (
     "default-src 'none'; script-src 'nonce-{0}'; style-src 'nonce-{0}'; img-src data:; connect-src 'self'; "
     "base-uri 'none'; form-action 'none'"
 )
+
+
+def finite(value: Any, otherwise: float) -> float:
+    """Return a finite number that a page has sent; an integer beyond every float is none."""
+    good = isinstance(value, int | float) and abs(value) <= sys.float_info.max
+    return float(value) if good else otherwise
 
 
 def new_token() -> str:
@@ -201,6 +207,18 @@ class Client:
             self._waiting.pop(slot, None)
             self._waiting[slot] = data
             self._changed.notify_all()
+
+    def choose(self, said: Mapping[str, Any]) -> None:
+        """Take the part of the time, or the further columns, that the page is to show."""
+        if said["do"] == "columns":
+            names = said.get("names")
+            self.columns = tuple(map(str, names[:MOST_COLUMNS])) if isinstance(names, list) else ()
+            return
+        given = said.get("range")
+        self.window = None
+        if isinstance(given, list) and len(given) == 2:
+            begin, end = (finite(each, math.nan) for each in given)
+            self.window = (begin, end) if begin < end else None
 
     def drawn(self) -> None:
         """Take that the page has drawn the run that was sent last."""

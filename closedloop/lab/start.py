@@ -1,28 +1,38 @@
-"""Opening the lab from Python, in a script or in a notebook."""
+"""Opening the lab from Python, in a script or in a notebook; and what a page may ask of it, and what comes of it."""
 
 from __future__ import annotations
 
 import atexit
 import html
+import logging
+import math
 import shutil
+import tempfile
+import webbrowser
 from collections.abc import Callable, Mapping, Sequence
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+import numpy as np
 
 from closedloop.base.arguments import arguments_checked
-from closedloop.base.errors import ScenarioError, missing_line
-from closedloop.base.files import write_whole
+from closedloop.base.errors import ClosedLoopError, ScenarioError, missing_line, one_line
+from closedloop.base.files import what_was_written, write_whole
 from closedloop.control.law import ControlLaw
+from closedloop.figures.scene.scene import mechanism_of, scene_of
 from closedloop.figures.scene.solids import Ghost
-from closedloop.lab.history import History, in_words
-from closedloop.record.run import Run
-from closedloop.scenario.load import load_scenario
+from closedloop.lab.app import Lab
+from closedloop.lab.details import Details
+from closedloop.lab.drawn import pack
+from closedloop.lab.history import MOST_PINS, History, in_words, save, save_page
+from closedloop.lab.mapping import MapWork
+from closedloop.lab.server import Client, finite, in_notebook
+from closedloop.record.run import Run, load_run
+from closedloop.scenario.arm import is_of_model
+from closedloop.scenario.load import load_scenario, parse_scenario, shipped_scenarios
 from closedloop.scenario.scenario import Scenario
 from robot_models import RobotModel
-
-if TYPE_CHECKING:
-    from closedloop.lab.app import Lab
 
 NEEDS = missing_line("the lab needs", "websockets", "lab")
 HEIGHT = 800  # px of the lab in a notebook
@@ -78,21 +88,24 @@ def lab(
     if not isinstance(scenario, str | Path):
         name, changes = in_words(base)
     words = "" if law is None else f"--law {getattr(law, '__module__', '?')}:{getattr(law, '__qualname__', '?')}"
-    history = History(base, name, _in_words(changes), words)
+    given = {  # a class by its name
+        key: value.member_name() if isinstance(value, type) and hasattr(value, "member_name") else value
+        for key, value in changes.items()
+    }
+    history = History(base, name, given, words)
     lab = begun(history, law=law, model=model, host=host, port=port, dark=dark, front=front, ghosts=ghosts)
-    if show:
-        _show(lab)
+    if show and in_notebook():
+        from IPython.display import IFrame, display
+
+        display(IFrame(lab.framed_url, width="100%", height=HEIGHT))  # type: ignore[no-untyped-call]
+    elif show:
+        open_in_browser(lab.url)
     lab.wait_for_plots(LONGEST)
     return lab
 
 
 def begun(history: History, **settings: Any) -> Lab:
     """Return a lab with all its parts; `settings` are those of `closedloop.lab.app.Lab`."""
-    from closedloop.lab.actions import act
-    from closedloop.lab.app import Lab
-    from closedloop.lab.details import Details
-    from closedloop.lab.mapping import MapWork
-
     return Lab(history, act=act, details=Details, map_work=MapWork, **settings)
 
 
@@ -100,12 +113,7 @@ def _begin(
     scenario: Scenario | Run | str | Path, changes: Mapping[str, Any], model: RobotModel | None
 ) -> tuple[Scenario, str, RobotModel | None]:
     """Return the scenario, its name on the command line, and the robot if it came with a run."""
-    from closedloop.scenario.arm import is_of_model
-    from closedloop.scenario.load import parse_scenario
-
     if isinstance(scenario, str | Path) and str(scenario).endswith(".nc"):
-        from closedloop.record.run import load_run
-
         run = load_run(scenario)
         changed = any(map(is_of_model, changes))
         base = parse_scenario(run.scenario.to_toml(), where=str(scenario), overrides=changes)
@@ -118,34 +126,12 @@ def _begin(
     return base, base.name, model
 
 
-def _in_words(changes: Mapping[str, Any]) -> dict[str, Any]:
-    """Return overrides as the command line has them: a class by its name."""
-    return {
-        key: value.member_name() if isinstance(value, type) and hasattr(value, "member_name") else value
-        for key, value in changes.items()
-    }
-
-
-def _show(lab: Lab) -> None:
-    from closedloop.lab.server import in_notebook
-
-    if in_notebook():
-        from IPython.display import IFrame, display
-
-        display(IFrame(lab.framed_url, width="100%", height=HEIGHT))  # type: ignore[no-untyped-call]
-    else:
-        open_in_browser(lab.url)
-
-
 def open_in_browser(url: str) -> None:
     """Open an address in the user's browser, without naming it where other users see it.
 
     The words of a command line are shown to all: the browser is given a file that only this user can read, and that
     sends it on.
     """
-    import tempfile
-    import webbrowser
-
     folder = tempfile.mkdtemp(prefix="closedloop-lab-")  # of this user alone
     page = Path(folder) / "open.html"
     write_whole(
@@ -153,3 +139,172 @@ def open_in_browser(url: str) -> None:
     )
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
     webbrowser.open(page.as_uri())
+
+
+logger = logging.getLogger(__name__)
+
+Said = dict[str, Any]
+
+
+def act(lab: Lab, client: Client, said: Said) -> None:
+    """Do what a page asks; what is at fault is a line on the page, also what is no request."""
+    try:
+        action = ACTIONS.get(str(said.get("do")))
+        if action is None:
+            client.put("status", pack(_status("what the page sent is no request of the lab's: nothing was done", True)))
+            return
+        client.time = finite(said.get("t"), client.time)
+        lab.history.press = None if said.get("press") is None else (id(client), str(said["press"]))
+        action(lab, client, said)
+    except ClosedLoopError as error:
+        _say(lab, one_line(str(error)), loud=True)
+    except Exception:  # the page goes on: what comes from a browser may be anything
+        client.put("status", pack(_status("what the page asked for failed: see the terminal", True)))
+        logger.exception("a request of the page failed")
+
+
+def _set(lab: Lab, client: Client, said: Said) -> None:
+    """Set a key to what its control shows, or to what was typed beside it."""
+    index = said.get("index")
+    control = lab.controls.get((str(said.get("key")), index if isinstance(index, int) else None))
+    if control is None:
+        return
+    try:
+        value = control.typed(str(said.get("text"))) if said["do"] == "type" else control.read(said.get("shown"))
+    except (ValueError, TypeError, OverflowError, ClosedLoopError) as error:
+        lab.tell("fault", {"kind": "fault", "key": control.key, "line": one_line(str(error))}, keep=False)
+        return
+    if said.get("together") and control.index is not None:
+        value = control.together(value)
+    lab.changed(control.key, value)
+
+
+def _reset(lab: Lab, client: Client, said: Said) -> None:
+    """Set a key back to where it began; of a list one entry, or all."""
+    key, index = str(said.get("key")), said.get("index")
+    control = lab.controls.get((key, index if isinstance(index, int) else None)) or lab.controls.get((key, 0))
+    if control is None:
+        return
+    if isinstance(index, int) and control.index == index:
+        lab.changed(key, [*control.value[:index], lab.first.get((key, index)), *control.value[index + 1 :]])
+        lab.refresh()
+    else:
+        lab.changed(key, None)
+
+
+def _step(lab: Lab, client: Client, said: Said) -> None:
+    """Undo, redo, or go back to where the scenario began."""
+    history, word = lab.history, said["do"]
+    moved = history.undo() if word == "undo" else history.redo() if word == "redo" else bool(history.changes)
+    if word == "begin again" and moved:
+        history.set_all({})
+    if moved:
+        lab.refresh()
+        lab.ask()
+    else:
+        _say(lab, f"there is nothing to {word}" if word != "begin again" else "nothing was changed")
+
+
+def _pin(lab: Lab, client: Client, said: Said) -> None:
+    """Keep the run shown, or the latest pinned one no longer."""
+    answer = lab.answer
+    if said["do"] == "unpin":
+        del lab.pins.held[-1:]
+    elif answer is None or answer.run is None:
+        return
+    elif lab.pins.add(answer.run, answer.changes) is None:
+        _say(lab, f"{MOST_PINS} runs are pinned already: unpin the last first", loud=True)
+        return
+    lab.details.pinned()
+
+
+def _write(lab: Lab, client: Client, said: Said) -> None:
+    """Write the run shown, as a scenario and a run file, or as a page."""
+    answer = lab.answer
+    if answer is None or answer.run is None:
+        _say(lab, "there is no run yet")
+        return
+    command = lab.command(answer)
+    if said["do"] == "save":
+        written = save(answer.run, command, lab.folder)
+    else:
+        written = [save_page(answer.run, command, lab.folder, lab.ghosts)]
+    _say(lab, what_was_written(*written))
+
+
+def _choose(lab: Lab, client: Client, said: Said) -> None:
+    client.choose(said)
+    lab.show_again(client)
+
+
+def _map(lab: Lab, client: Client, said: Said) -> None:
+    if said["do"] == "stop map":
+        lab.map.stop()
+    else:
+        lab.map.start(str(said.get("x")), str(said.get("y")), str(said.get("quantity")))
+
+
+# How long a pull acts, s; nearer to the tip than this share of the robot's size it is one at the tip.
+PULL, AT_TIP = 0.2, 0.05
+
+
+def _pull(lab: Lab, client: Client, said: Said) -> None:
+    """Pull at a point of a link, from the instant that the page shows: a force from outside."""
+    answer = lab.answer
+    if answer is None or answer.run is None:
+        return
+    at, force = (np.array([finite(x, math.nan) for x in said.get(key) or ()]) for key in ("at", "force"))
+    frames = [each for each in mechanism_of(answer.run.model).frames if each.parentJoint == said.get("joint")]
+    if at.shape != (3,) or force.shape != (3,) or not np.all(np.isfinite([at, force])) or not frames:
+        return
+    scene, named = scene_of(answer.run), [each for each in frames if each.name in answer.run.model.frames]
+    start = finite(said.get("start"), client.time)
+    row = min(max(round(start / answer.run.scenario.time.step), 0), len(answer.run) - 1)
+    axes, origins = (part[frames[0].parentJoint] for part in scene.joint_places(row))
+    pulled: dict[str, Any] = {"force": _rounded(force), "duration": PULL}
+    pulled["start"] = float(f"{max(min(start, answer.run.scenario.time.duration - PULL), 0.0):.6g}")
+    if np.linalg.norm(origins + axes @ at - scene.tip_place(row)) > AT_TIP * scene.size and named:
+        pulled |= {"link": named[0].name, "at": _rounded(named[0].placement.actInv(at))}
+    given = [force.model_dump(exclude_none=True) for force in lab.history.scenario().external_force or ()]
+    if said.get("first"):  # what follows is the same pull, a moment later
+        client.pulls = len(given)
+    lab.changed("external_force", [*given[: client.pulls], pulled])
+    if said.get("last"):
+        lab.refresh()
+
+
+def _rounded(vector: Any) -> list[float]:
+    return [float(f"{x:.3g}") for x in vector]
+
+
+def _analyse(lab: Lab, client: Client, said: Said) -> None:
+    at = said.get("at")
+    lab.details.at = None if at is None else finite(at, 0.0)
+    if lab.answer is not None:
+        lab.details.ask(lab.answer)
+
+
+def _open(lab: Lab, client: Client, said: Said) -> None:
+    """Go over to another scenario that ships, and to no other file."""
+    if said.get("name") in shipped_scenarios():
+        lab.open(str(said["name"]))
+
+
+def _say(lab: Lab, line: str, loud: bool = False) -> None:
+    lab.tell("status", _status(line, loud), keep=False)
+
+
+def _status(line: str, loud: bool) -> Said:
+    return {"kind": "status", "line": line, "loud": loud}
+
+
+ACTIONS: dict[str, Callable[[Lab, Client, Said], None]] = {
+    "set": _set, "type": _set, "reset": _reset, "undo": _step, "redo": _step, "begin again": _step,
+    "pin": _pin, "unpin": _pin, "save": _write, "share": _write, "window": _choose, "columns": _choose,
+    "map": _map, "stop map": _map, "analyse": _analyse, "open": _open, "pull": _pull,
+    "shown": lambda lab, client, said: client.drawn(),
+    "point": lambda lab, client, said: lab.map.go(
+        finite(said.get("u"), 0.5), finite(said.get("v"), 0.5), bool(said.get("last"))
+    ),
+    "gallery": lambda lab, client, said: lab.show_gallery(client),
+}  # fmt: skip

@@ -18,8 +18,7 @@ import numpy as np
 
 from closedloop.base.arrays import Array, plain
 from closedloop.loop.step.record_row import Row
-from closedloop.serve.session import Clock, Interface, Session
-from closedloop.serve.sockets import Client, Gone
+from closedloop.serve.session import Client, Clock, Gone, Interface, Session
 from closedloop.simulation.state import StepState
 
 MAGIC = b"CLB1"

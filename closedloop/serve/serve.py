@@ -14,8 +14,7 @@ from closedloop.scenario.load import load_scenario
 from closedloop.scenario.scenario import Scenario
 from closedloop.serve.franka.server import Franka
 from closedloop.serve.messages import Plain
-from closedloop.serve.session import Interface, Session
-from closedloop.serve.sockets import Say, Stopped
+from closedloop.serve.session import Interface, Say, Session, Stopped
 from closedloop.serve.ur import Ur
 
 # The interfaces, and how long a run may be at least where the scenario's own duration is shorter, s.

@@ -14,8 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from closedloop.base.arrays import Array
 from closedloop.base.errors import ScenarioError
-from closedloop.serve.session import Clock, Interface
-from closedloop.serve.sockets import Client, Gone
+from closedloop.serve.session import Client, Clock, Gone, Interface
 
 PORT, VERSION = 30004, 2
 # The controller's version that a client is told: major, minor, bugfix, build.

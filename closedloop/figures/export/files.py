@@ -98,13 +98,18 @@ def _write(run: Run, file: BinaryIO) -> None:
         at = round(1e9 * time)
         writer.write_message(topic, schemas[kind], message, log_time=at, publish_time=at)
 
+    def send_wrench(topic: str, force: Any, moment: Any, time: float, frame: str) -> None:
+        wrench = {"force": _vector(force), "torque": _vector(moment)}
+        header = {"stamp": _stamp(time), "frame_id": frame}
+        send(topic, "geometry_msgs/msg/WrenchStamped", {"header": header, "wrench": wrench}, time)
+
     if run.model.format == "urdf":
         send("/robot_description", "std_msgs/msg/String", {"data": run.model.text}, 0.0)
     frames = list(run.model.pinocchio_model().frames)[1:]
     base, scene = str(next((frame.name for frame in frames if frame.parentJoint == 0), "base")), scene_of(run)
     reactions = list(_reactions(run))
     names, q = list(run.model.joint_names), loop_positions(run)
-    nothing, unturned = {"x": 0.0, "y": 0.0, "z": 0.0}, {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}
+    nothing, unturned = np.zeros(3), {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}
     wanted, commanded = run.reference_tip, bool(np.any(run.reference_force))
     start = {"stamp": _stamp(0.0), "frame_id": base}
     points: Any = [] if isinstance(run.scenario.law, NoLaw) else thin_out(wanted, PATH_POINTS)
@@ -115,28 +120,21 @@ def _write(run: Run, file: BinaryIO) -> None:
     for k in range(len(run)):
         time, there = float(run.time[k]), scene.joint_places(k)
         header = {"stamp": _stamp(time), "frame_id": base}
-        joints = {"name": names, "position": q[k], "velocity": run.v[k], "effort": run.torque[k]}
-        send("/joint_states", "sensor_msgs/msg/JointState", {"header": header, **_listed(joints)}, time)
+        joints = {"position": q[k].tolist(), "velocity": run.v[k].tolist(), "effort": run.torque[k].tolist()}
+        send("/joint_states", "sensor_msgs/msg/JointState", {"header": header, "name": names, **joints}, time)
         pose = {"position": _vector(run.position[k]), "orientation": _turn(scene.tip_axes(there[0]))}
         send("/tip_pose", "geometry_msgs/msg/PoseStamped", {"header": header, "pose": pose}, time)
-        wrench = {"force": _vector(run.tip_force[k]), "torque": nothing}
-        send("/tip_wrench", "geometry_msgs/msg/WrenchStamped", {"header": header, "wrench": wrench}, time)
+        send_wrench("/tip_wrench", run.tip_force[k], nothing, time, base)
         if poses:
             point = {"header": header, "point": _vector(wanted[k])}
             send("/desired_position", "geometry_msgs/msg/PointStamped", point, time)
         if commanded:
-            wrench = {"force": _vector(run.reference_force[k] * run.surface_normal[k]), "torque": nothing}
-            send("/commanded_wrench", "geometry_msgs/msg/WrenchStamped", {"header": header, "wrench": wrench}, time)
-        wrench = {"force": _vector(run.wrist_wrench[k, :3]), "torque": _vector(run.wrist_wrench[k, 3:])}
-        at_wrist = header | {"frame_id": scene.tip}
-        send("/wrist_wrench", "geometry_msgs/msg/WrenchStamped", {"header": at_wrist, "wrench": wrench}, time)
+            send_wrench("/commanded_wrench", run.reference_force[k] * run.surface_normal[k], nothing, time, base)
+        send_wrench("/wrist_wrench", run.wrist_wrench[k, :3], run.wrist_wrench[k, 3:], time, scene.tip)
         for touching, arrow in zip(scene.touching, scene.between_links(k, *there), strict=True):
-            wrench, topic = {"force": _vector(arrow.force), "torque": nothing}, f"/contacts/{touching.name}"
-            send(topic, "geometry_msgs/msg/WrenchStamped", {"header": header, "wrench": wrench}, time)
+            send_wrench(f"/contacts/{touching.name}", arrow.force, nothing, time, base)
         for name, frame, force, couple in reactions:
-            wrench = {"force": _vector(force[k]), "torque": _vector(couple[k])}
-            turned = header | {"frame_id": frame}
-            send(f"/loops/{name}", "geometry_msgs/msg/WrenchStamped", {"header": turned, "wrench": wrench}, time)
+            send_wrench(f"/loops/{name}", force[k], couple[k], time, frame)
     for event in run.events:
         rates = f"closure rate {event.rate_before:.6g} to {event.rate_after:.6g} m/s"
         said = f"{event.kind}: {rates}, {event.energy_lost:.4g} J lost"
@@ -174,10 +172,6 @@ def _turn(axes: Any) -> dict[str, float]:
     """Return the orientation of axes (3, 3), the columns of a rotation, as the parts of a quaternion."""
     w, x, y, z = (float(part) for part in quaternions(axes[None])[0])
     return {"x": x, "y": y, "z": z, "w": w}
-
-
-def _listed(parts: dict[str, Any]) -> dict[str, Any]:
-    return {name: part.tolist() if isinstance(part, np.ndarray) else part for name, part in parts.items()}
 
 
 # Of metadata.yaml: the version that ROS 2 Humble and all later ones read.
@@ -288,7 +282,10 @@ def encoded(columns: Mapping[str, NDArray[Any]], write: Callable[[Any, BinaryIO]
 def _write_tables(run: Run, path: Path, write: Callable[[Any, BinaryIO], object]) -> list[Path]:
     """Write the rows of a run, and its events, if it has any, beside it; return the paths."""
     rows = [*(name for name in run.specs if name not in EVENT_COLUMNS), *DERIVED]
-    whole = {k: v for name in rows for k, v in _flat(run, name).items()} | _carried(run)
+    whole = {k: v for name in rows for k, v in _flat(run, name).items()}
+    if (loops := run.loops) is not None:  # what the joints of a mechanism's loops carried
+        parts = zip(loops.labels, loops.units, loops.reactions.T, strict=True)
+        whole |= {_header(f"reaction {label}", unit): values for label, unit, values in parts}
     written = [write_whole(path, encoded(whole, write))]
     if run.events:
         columns = {k: v for name in EVENT_COLUMNS for k, v in _flat(run, name).items()}
@@ -309,15 +306,6 @@ def _flat(run: Run, name: str) -> dict[str, NDArray[Any]]:
         unit = other if other and second else unit
         found[_header(f"{name} {entry}", unit)] = values[:, k]
     return found
-
-
-def _carried(run: Run) -> dict[str, NDArray[Any]]:
-    """Return what the loop joints of a mechanism carried, a column for each part, by their headers."""
-    found = run.loops
-    if found is None:
-        return {}
-    parts = zip(found.labels, found.units, found.reactions.T, strict=True)
-    return {_header(f"reaction {label}", unit): values for label, unit, values in parts}
 
 
 def _header(name: str, unit: str) -> str:

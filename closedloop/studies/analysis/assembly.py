@@ -139,8 +139,14 @@ class Reduced:
         self.problem, self.instant, self.n = problem, instant, problem.robot.n
         self.here = here = Here(problem, instant, free)
         here.held = here()["torque"]  # which acts from this row on: before it that of the last sample did
-        _refuse_limited(here)
         self.state, self.decays = here.loop.state, np.array(here.loop.w.decays.rate)
+        limited = np.flatnonzero(here.loop.w.drives.limited != AS_ASKED)
+        if self.state.settings.drives != 0 and limited.size:
+            raise SimulationError(
+                f"linearise: the drive of joint {problem.robot.joint_names[int(limited[0])]} is at its limit at "
+                f"t = {instant.time:g} s, so its torque does not respond; take another instant, or a higher limit",
+                instant.time,
+            )
         self.soft = problem.compliance.member is not Rigid and instant.mode != FREE
         self.rigid = problem.compliance.member is Rigid and instant.mode != FREE
         self.sampled = problem.hold > 0
@@ -309,18 +315,6 @@ class Reduced:
         ]  # fmt: skip
 
 
-def _refuse_limited(here: Here) -> None:
-    """Refuse a drive that is at its limit: its torque answers to nothing."""
-    problem, time = here.problem, here.instant.time
-    limited = np.flatnonzero(here.loop.w.drives.limited != AS_ASKED)
-    if here.loop.state.settings.drives != 0 and limited.size:
-        raise SimulationError(
-            f"linearise: the drive of joint {problem.robot.joint_names[int(limited[0])]} is at its limit at "
-            f"t = {time:g} s, so its torque does not respond; take another instant, or a higher limit",
-            time,
-        )
-
-
 def step_of(
     scheme: type[Scheme], A: Array, B: Array, begin: Array, h: float, leads: Array, exact: Array, decays: Array
 ) -> tuple[Array, Array]:
@@ -437,7 +431,16 @@ def _step(r: Reduced) -> tuple[Array, list[Array]]:
 
 def assembled(r: Reduced) -> LinearLoop:
     """Put the loop together: coordinates, samples of the sensor, newest first, encoders' readings, held torque."""
-    inputs, outputs = _inputs(r), _outputs(r)
+    torques = [Quantity(f"torque[{name}]", "N m") for name in r.problem.robot.joint_names]
+    contacts = () if r.here.contacts is None else r.here.contacts.names
+    inputs = (
+        Quantity("force command", "N"), Quantity("surface acceleration", "m/s²"), Quantity("load", "N"),
+        Quantity("sensor noise", "N"), *torques,
+    )  # fmt: skip
+    outputs = (
+        Quantity("contact force", "N"), *(Quantity(f"tip {axis}", "m") for axis in "xyz"), *torques,
+        Quantity("force felt", "N"), *(Quantity(f"contact force[{name}]", "N") for name in contacts),
+    )  # fmt: skip
     Phi, (reading, after, lasting, entering, driving) = _step(r)
     ages, size = r.problem.sensor.ring, r.size
     lasts, held = lasting.shape[1], r.n if r.sampled else 0
@@ -504,28 +507,13 @@ def assembled(r: Reduced) -> LinearLoop:
         normal[r.s0 + 1 if r.rigid else r.half + r.free] = 1.0
     else:
         normal[: r.size] = r.along @ r.by_v
-    pick, names = np.flatnonzero(keep), _names(r, ages, lasts, held)
+    pick, names, scheme = np.flatnonzero(keep), _names(r, ages, lasts, held), _scheme(r.problem)
     return LinearLoop(
         A=F[np.ix_(pick, pick)], B=E[pick], C=C[:, pick], D=D, dt=r.problem.h * max(r.problem.hold, 1),
         states=tuple(names[i] for i in pick), inputs=inputs, outputs=outputs, time=r.instant.time,
         scenario=r.problem.scenario, mode=r.instant.mode, soft=r.soft, closure=_closure_poles(r),
-        normal=normal[pick], held_force=r.rigid or _one_stage(r.problem),
-    )  # fmt: skip
-
-
-def _inputs(r: Reduced) -> tuple[Quantity, ...]:
-    return (
-        Quantity("force command", "N"), Quantity("surface acceleration", "m/s²"), Quantity("load", "N"),
-        Quantity("sensor noise", "N"), *(Quantity(f"torque[{name}]", "N m") for name in r.problem.robot.joint_names),
-    )  # fmt: skip
-
-
-def _outputs(r: Reduced) -> tuple[Quantity, ...]:
-    contacts = () if r.here.contacts is None else r.here.contacts.names
-    return (
-        Quantity("contact force", "N"), *(Quantity(f"tip {axis}", "m") for axis in "xyz"),
-        *(Quantity(f"torque[{name}]", "N m") for name in r.problem.robot.joint_names), Quantity("force felt", "N"),
-        *(Quantity(f"contact force[{name}]", "N") for name in contacts),
+        normal=normal[pick],
+        held_force=r.rigid or (scheme.stages == 1 and not issubclass(scheme, AdaptiveIntegrator)),
     )  # fmt: skip
 
 
@@ -578,11 +566,6 @@ def _scheme(problem: Problem) -> type[Scheme]:
     return scheme
 
 
-def _one_stage(problem: Problem) -> bool:
-    scheme = _scheme(problem)
-    return scheme.stages == 1 and not issubclass(scheme, AdaptiveIntegrator)
-
-
 def _moving(F: Array, C: Array) -> NDArray[np.bool_]:
     """Return which states are part of the loop: not those that stay as they are, nor those that nothing reads."""
     keep, scale = np.ones(F.shape[0], dtype=bool), NONE * float(np.max(np.abs(F)))
@@ -630,14 +613,12 @@ def linearise(
     at = 0.5 * scenario.time.duration if at is None else at
     refuse_outside(scenario, at)  # before the path is made, which takes a while
     problem = prepare(scenario, model, cache)
-    instant = instant_of(scenario, problem, at, model)
-    return loop_at(problem, instant)
+    return loop_at(problem, instant_of(problem, at, model))
 
 
-def instant_of(scenario: Scenario, problem: Problem, at: float, model: RobotModel | None = None) -> Instant:
-    """Return the state of a scenario's run at an instant; with an integrator that chooses its steps, by rk4."""
-    row = row_at(problem, at)
-    return run_to(of_fixed_steps(problem, model), row)
+def instant_of(problem: Problem, at: float, model: RobotModel | None = None) -> Instant:
+    """Return the state of a run at an instant; with an integrator that chooses its steps, by rk4."""
+    return run_to(of_fixed_steps(problem, model), row_at(problem, at))
 
 
 def of_fixed_steps(problem: Problem, model: RobotModel | None = None, cache: Cache | None = None) -> Problem:

@@ -122,9 +122,8 @@ class ClosedContacts:
 
     def read(self) -> tuple[Array, Array] | None:
         """Return the rates u of the rows that bind (m,), m/s, and the normal forces (k,), N; None in other modes."""
-        if self._loop.state.coupled == 0 or self._links.undecided != 0 or self._links.stepped != 0:
-            return None
-        if not np.array_equal(self._numbers.mode, self._modes):
+        decided = self._loop.state.coupled != 0 and self._links.undecided == self._links.stepped == 0
+        if not decided or not np.array_equal(self._numbers.mode, self._modes):
             return None
         return self._numbers.u[self._rows], self._numbers.F[self._normals]
 
@@ -484,10 +483,8 @@ class Here:
 
     def loop_rows(self, q: Array) -> tuple[Array, Array]:
         """Return the rows G (m, n) of the loops at q, and their rate (m,) with q̇ of the instant."""
-        if not self.problem.robot.model.loops:
-            return np.zeros((0, self.n)), np.zeros(0)
-        v = self.instant.values["v"]
-        G = loop_rows(self.problem.robot, q[None], v[None])[0][0]
+        v, there = self.instant.values["v"], bool(self.problem.robot.model.loops)
+        G = loop_rows(self.problem.robot, q[None], v[None])[0][0] if there else np.zeros((0, self.n))
         return G, G @ v
 
     def geometry(self) -> tuple[Array, Array, Array, Array]:

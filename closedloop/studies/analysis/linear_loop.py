@@ -138,28 +138,20 @@ def margins_of(transfer: Callable[[Array], ComplexArray], grid: Array, cut: str,
     def at(f: float) -> complex:
         return complex(transfer(np.array([f]))[0])
 
+    crossings = np.flatnonzero((L.imag[:-1] * L.imag[1:] < 0.0) & ((L.real[:-1] < 0.0) | (L.real[1:] < 0.0)))
+    real = [float(brentq(lambda f: at(f).imag, *grid[i : i + 2], xtol=1e-14, rtol=1e-13)) for i in crossings]
     gain, gain_at, least = math.inf, nan, 0.0
-    for i in np.flatnonzero((L.imag[:-1] * L.imag[1:] < 0.0) & ((L.real[:-1] < 0.0) | (L.real[1:] < 0.0))):
-        f = float(brentq(lambda f: at(f).imag, grid[i], grid[i + 1], xtol=1e-14, rtol=1e-13))
-        value = at(f)
-        if value.real >= 0.0 or abs(value.imag) > 1e-3 * abs(value.real):
-            continue
-        factor = -1.0 / value.real
-        if 1.0 <= factor < gain:
-            gain, gain_at = factor, f
-        elif least < factor < 1.0:
-            least = factor
-    last = L[-1]  # at half of the sampling rate L is real
-    if last.real < 0.0 and abs(last.imag) <= 1e-3 * abs(last.real):
-        factor = -1.0 / last.real
-        if 1.0 <= factor < gain:
-            gain, gain_at = factor, float(grid[-1])
-        elif least < factor < 1.0:
-            least = factor
+    for f, value in [*((f, at(f)) for f in real), (float(grid[-1]), L[-1])]:  # at half of the sampling rate it is, too
+        if value.real < 0.0 and abs(value.imag) <= 1e-3 * abs(value.real):
+            factor = float(-1.0 / value.real)
+            if 1.0 <= factor < gain:
+                gain, gain_at = factor, f
+            elif least < factor < 1.0:
+                least = factor
     phase, phase_at, delay = math.inf, nan, math.inf
     size = np.log(np.maximum(np.abs(L), 1e-300))
     for i in np.flatnonzero(size[:-1] * size[1:] < 0.0):
-        f = float(brentq(lambda f: math.log(abs(at(f))), grid[i], grid[i + 1], xtol=1e-14, rtol=1e-13))
+        f = float(brentq(lambda f: math.log(abs(at(f))), *grid[i : i + 2], xtol=1e-14, rtol=1e-13))
         angle = math.degrees(math.atan2(at(f).imag, at(f).real))
         ahead = (angle + 180.0) % 360.0  # by which it may lag
         nearest = min(ahead, 360.0 - ahead)

@@ -56,18 +56,14 @@ class Page:
         sensor = self.margins["sensor"]
         return sensor if sensor.closed else min(self.margins.values(), key=lambda one: one.modulus)
 
-    @property
-    def fed_back(self) -> bool:
-        """Whether anything is fed back, force or motion."""
-        return any(one.closed for one in self.margins.values())
-
     def sentence(self) -> str:
         """Return the verdict in one sentence."""
         loop = self.loop
         if not loop.stable:
             pole = next(pole for pole in loop.poles() if pole.grows)
             how = f"oscillates at {pole.frequency:.3g} Hz and " if abs(pole.s.imag) > 1e-9 * abs(pole.s) else ""
-            what = f"a mode, mostly of the {pole.part}," if self.fed_back else "a motion that nothing controls"
+            fed_back = any(one.closed for one in self.margins.values())
+            what = f"a mode, mostly of the {pole.part}," if fed_back else "a motion that nothing controls"
             grows = f"unstable: {what} {how}grows with exp({pole.s.real:.3g} t)"
             ways = [
                 f"{name} {'below' if limit.upwards else 'above'} {limit.value:.3g} makes it stable"
@@ -85,12 +81,11 @@ class Page:
         where = "" if margins.cut == "sensor" else f"the law reads no force; at {margins.cut} "
         said = [f"stable; {where}{far}"]
         for name, limit in self._limits():
-            if limit.upwards:
-                if name == "compliance.stiffness":
-                    said.append(f"a surface stiffer than {limit.value:.3g} N/m makes it unstable")
-                else:
-                    unit = GAINS.get(name, "")
-                    said.append(f"{name} above {limit.value:.3g}{' ' + unit if unit else ''} makes it unstable")
+            if limit.upwards and name == "compliance.stiffness":
+                said.append(f"a surface stiffer than {limit.value:.3g} N/m makes it unstable")
+            elif limit.upwards:
+                least = f"{limit.value:.3g} {GAINS.get(name, '')}".rstrip()
+                said.append(f"{name} above {least} makes it unstable")
         return "; ".join(said)
 
     def _limits(self) -> list[tuple[str, Limit]]:
@@ -132,20 +127,12 @@ class Page:
             found.append(f"{rest} more neither grow nor decay: friction blocks these motions, or no gain acts on them")
         if loop.mode == 0:
             found += ["", "the tip touches nothing: f has no bandwidth, and there is no port"]
-            return found + self._limit_lines()
-        band = loop.bandwidth()
-        found += ["", "bandwidth of the command: " + (f"{band:.3g} Hz" if math.isfinite(band) else
-                  f"beyond {0.5 / loop.dt:.3g} Hz, half of the sampling rate")]  # fmt: skip
-        port = loop.port()
-        found.append(
-            "port: passive, so stable on every passive surface"
-            if port.passive
-            else f"port: not passive, most active at {port.active_at:.3g} Hz"
-        )
-        return found + self._limit_lines()
-
-    def _limit_lines(self) -> list[str]:
-        found = []
+        else:
+            band, port = loop.bandwidth(), loop.port()
+            beyond = f"beyond {0.5 / loop.dt:.3g} Hz, half of the sampling rate"
+            found += ["", f"bandwidth of the command: {f'{band:.3g} Hz' if math.isfinite(band) else beyond}"]
+            active = f"not passive, most active at {port.active_at:.3g} Hz" if not port.passive else ""
+            found.append(f"port: {active or 'passive, so stable on every passive surface'}")
         for name, limit in self.limits.items():
             if isinstance(limit, str):
                 found.append(f"{name}: {limit}")
@@ -322,13 +309,7 @@ SLOWEST = 10
 def draw_page(page: Page, folder: Path, formats: Sequence[str] = IMAGES) -> list[Path]:
     """Draw Bode's and Nyquist's diagrams, the poles, and the sensitivity; return the paths of the first format."""
     drawn = {"bode": bode, "nyquist": nyquist, "poles": poles, "sensitivity": sensitivity}
-    return [written(figure(page), folder / f"analysis_{name}", formats) for name, figure in drawn.items()]
-
-
-@styled()
-def written(figure: Figure, path: Path, formats: Sequence[str] = IMAGES) -> Path:
-    """Write a figure, and return the path of its first format."""
-    return write_figure(figure, path, formats)
+    return [write_figure(figure(page), folder / f"analysis_{name}", formats) for name, figure in drawn.items()]
 
 
 def _unless_unstable(margins: Margins, said: str, otherwise: str = "the loop is unstable") -> str:

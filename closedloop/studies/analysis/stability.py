@@ -99,8 +99,6 @@ class Trial:
         return (self.expected > 0.0) == (self.seen > 0.0)
 
 
-__all__ = ["Range", "Stability"]
-
 # Values at which a range is looked at, before the limits between them are solved for.
 LOOKS = 25
 # And at how many values of the other key of a map it is looked at, before the map is given up.
@@ -118,12 +116,6 @@ BESIDE, PERIODS, LEAST_SAMPLES, KICK, FAR, FEWEST_PERIODS, NEGLIGIBLE = 0.1, 12.
 KICKED, MIDDLE = 0.25, 0.625
 
 
-def _rows(problem: Problem, instant: Instant, frequency: float) -> int:
-    """Return for how many rows runs go on beside a limit whose pole has this frequency, Hz: no further than the end."""
-    span = max(PERIODS / max(frequency, 1e-3), LEAST_SAMPLES * problem.h * max(problem.hold, 1))
-    return min(round(span / problem.h), problem.steps - round(instant.time / problem.h))
-
-
 class Stability:
     """The loops of a scenario with other numbers, about one motion.
 
@@ -137,7 +129,7 @@ class Stability:
         at = 0.5 * scenario.time.duration if at is None else at
         refuse_outside(scenario, at)
         self._problem = prepare(scenario, model)
-        self._instant = instant_of(scenario, self._problem, at, model)
+        self._instant = instant_of(self._problem, at, model)
         self.base = loop_at(self._problem, self._instant)
         self._variants: dict[tuple[str, ...], Variants] = {}
         self._moved: dict[str, Instant] = {}
@@ -317,7 +309,9 @@ class Stability:
             try:
                 problem, instant = self._at(values)
                 problem = of_fixed_steps(problem, self._model, self._cache)
-                rows = _rows(problem, instant, limit.pole.frequency)
+                span = PERIODS / max(limit.pole.frequency, 1e-3)
+                span = max(span, LEAST_SAMPLES * problem.h * max(problem.hold, 1))  # no further than the end
+                rows = min(round(span / problem.h), problem.steps - round(instant.time / problem.h))
                 middle, end = (
                     Stability(self.scenario, instant.time + share * rows * problem.h, model=self._model).growth(values)
                     for share in (MIDDLE, 1.0)

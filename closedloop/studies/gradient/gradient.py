@@ -152,15 +152,19 @@ def differentiated(
         base = _sampled(run, outputs)
         by_duals = exact(varied, run, base, outputs, model, report, workers)
         parts = [by_duals.outputs, [each for each in outputs if each not in by_duals.outputs]]
-        made = []
+        made, problems = Gradient({}, {}, {}, {}, {}, {}, ()), [*grazes(run), *by_duals.problems]
         for some, found in zip(parts, (by_duals.found, {}), strict=True):
             if some:
                 base = _sampled(run, some)
                 rest = [d for d in directions if d not in found]
                 found = found | differences.along(varied, rest, base, partial(values_of, some), model, report, workers)
-                made.append(_gathered(varied, run, some, base.values, {d: found[d] for d in directions}))
-    joined = _joined(made, [each.name for each in outputs])
-    return replace(joined, problems=(*grazes(run), *by_duals.problems, *joined.problems))
+                problems += _gathered(made, varied, run, some, base.values, {d: found[d] for d in directions})
+    ordered: dict[str, Any] = {
+        part.name: {each.name: getattr(made, part.name)[each.name] for each in outputs}
+        for part in fields(Gradient)
+        if part.name != "problems"
+    }
+    return Gradient(**ordered, problems=tuple(dict.fromkeys(problems)))
 
 
 def _sampled(run: Run, outputs: Sequence[Output]) -> differences.Sample:
@@ -169,26 +173,10 @@ def _sampled(run: Run, outputs: Sequence[Output]) -> differences.Sample:
     return replace(differences.sample(run, partial(values_of, outputs)), scale=np.concatenate(scale))
 
 
-def _joined(parts: Sequence[Gradient], names: Sequence[str]) -> Gradient:
-    """Return the derivatives of several groups of outputs as those of all, in the order of `names`."""
-    said = tuple(dict.fromkeys(line for part in parts for line in part.problems))
-    if len(parts) == 1:
-        return replace(parts[0], problems=said)
-    all_of: dict[str, Any] = {}
-    for field in fields(Gradient):
-        if field.name != "problems":
-            both: dict[str, Any] = {}
-            for part in parts:
-                both |= getattr(part, field.name)
-            all_of[field.name] = {name: both[name] for name in names if name in both}
-    return Gradient(**all_of, problems=said)
-
-
 def _gathered(
-    varied: Keys, run: Run, outputs: Sequence[Output], values: Array, found: dict[Direction, Along]
-) -> Gradient:
-    """Put the derivatives of all quantities along all directions together by name."""
-    made = Gradient({}, {}, {}, {}, {}, {}, ())
+    made: Gradient, varied: Keys, run: Run, outputs: Sequence[Output], values: Array, found: dict[Direction, Along]
+) -> list[str]:
+    """Put the derivatives of some quantities along all directions into `made` by name; return what is wrong."""
     problems = [f"no derivative with respect to {d}: {known.why}" for d, known in found.items() if known.best is None]
     begin = 0
     for each in outputs:
@@ -209,7 +197,7 @@ def _gathered(
         for d, known in found.items():
             if known.best is not None:
                 problems += _named(each.name, d, known.part(part), values[part])
-    return replace(made, problems=tuple(problems))
+    return problems
 
 
 def _named(of: str, direction: Direction, part: Part, values: Array) -> list[str]:

@@ -15,13 +15,12 @@ import robot_models
 from closedloop.figures.scene.scene import scene_of
 from closedloop.lab import controls as all_of
 from closedloop.lab import curves
-from closedloop.lab.actions import act
-from closedloop.lab.answers import Answers
+from closedloop.lab.app import Answers
 from closedloop.lab.controls import TABS, begin_values, controls
 from closedloop.lab.drawn import from_text, in_text, pack, unpack
 from closedloop.lab.history import History, Pins, compared, in_words, save
 from closedloop.lab.server import LONG, Newest
-from closedloop.lab.start import begun
+from closedloop.lab.start import act, begun
 from closedloop.plugins import Annotated, ControlLaw, Field, Positive, gain_in
 from closedloop.scenario.load import Variants, parse_scenario, split_overrides
 from closedloop.simulation.cache import Cache
@@ -228,7 +227,7 @@ def test_an_answer_is_a_run_or_the_one_line_that_says_why_not():
 @pytest.mark.parametrize("integrator", ["semi_implicit_euler", "dop853"])
 def test_a_run_that_has_begun_is_finished_and_its_first_part_is_shown(integrator, monkeypatch):
     """However long it takes, to the bits of a run without looking; the parts grow, and are rows of the whole."""
-    monkeypatch.setattr("closedloop.lab.answers.SLOW", 0.0)
+    monkeypatch.setattr("closedloop.lab.app.SLOW", 0.0)
     monkeypatch.setattr("closedloop.simulation.engines.loops.MOST", 40)
     monkeypatch.setattr("closedloop.simulation.engines.loops.FEW", 40)
     base, parts = cl.load_scenario("wam_slide", {"time.integrator": integrator, "time.duration": 0.2}), []
@@ -255,14 +254,14 @@ def test_a_run_that_is_about_to_end_shows_no_part(monkeypatch):
     """To draw a part just before the whole would only delay it."""
     ticks = itertools.count()
     clock = SimpleNamespace(perf_counter=lambda: 0.02 * next(ticks), thread_time=lambda: 0.0)  # of each look at it
-    monkeypatch.setattr("closedloop.lab.answers.clock", clock)
+    monkeypatch.setattr("closedloop.lab.app.clock", clock)
     monkeypatch.setattr("closedloop.simulation.engines.loops.MOST", 40)
     monkeypatch.setattr("closedloop.simulation.engines.loops.FEW", 40)
     base, parts = cl.load_scenario("wam_slide", {"time.duration": 2.0}), []
     answers = Answers(History(base, "wam_slide"), part=parts.append)
     for slow, least in ((0.0, 0.97), (0.4, 0.3)):
         parts.clear()
-        monkeypatch.setattr("closedloop.lab.answers.SLOW", slow)
+        monkeypatch.setattr("closedloop.lab.app.SLOW", slow)
         rows = len(answers.answer({"law.force": 12.0}).run)
         assert least < len(parts[-1]) / rows < least + 0.33
 
@@ -271,7 +270,7 @@ def test_the_first_part_is_shown_as_soon_as_a_run_is_known_to_be_slow(monkeypatc
     """It need not have taken that long: at 0.04 s of 0.2 s already; of a run of 0.08 s no part is shown."""
     ticks = itertools.count()
     clock = SimpleNamespace(perf_counter=lambda: 0.02 * next(ticks), thread_time=lambda: 0.0)  # of each look at it
-    monkeypatch.setattr("closedloop.lab.answers.clock", clock)
+    monkeypatch.setattr("closedloop.lab.app.clock", clock)
     monkeypatch.setattr("closedloop.simulation.engines.loops.MOST", 200)
     monkeypatch.setattr("closedloop.simulation.engines.loops.FEW", 200)
     parts, said = [], []

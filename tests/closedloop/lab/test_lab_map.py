@@ -10,7 +10,7 @@ import pytest
 import closedloop as cl
 import robot_models
 from closedloop.lab import controls, mapping
-from closedloop.lab.answers import Answers
+from closedloop.lab.app import Answers
 from closedloop.lab.history import History
 from closedloop.lab.mapping import Axis, Map, MapWork, coarse_first
 

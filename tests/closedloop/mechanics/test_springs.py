@@ -271,7 +271,7 @@ def test_the_linear_loop_of_an_arm_with_springs_is_that_of_its_run(write):
     rigid = re.sub(r' (stiffness|springref)="[^"]*"', "", THREE[: THREE.index("<tendon>")]) + "</mujoco>"
     for text in (THREE, rigid):
         problem = prepare(write(text, PRESSING).replace(SOFT))
-        instant = instant_of(problem.scenario, problem, 0.25)
+        instant = instant_of(problem, 0.25)
         loop = loop_at(problem, instant)
         apart = (run_on(problem, instant, 400, 1e-4) - run_on(problem, instant, 400, -1e-4)) / 2e-4
         found = np.cumsum(apart[:: problem.hold])

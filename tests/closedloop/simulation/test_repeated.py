@@ -20,7 +20,7 @@ from closedloop.simulation.loop_calls import Driver
 from closedloop.simulation.parts import Parts
 from closedloop.simulation.simulate import run_loop
 
-# A soft and rough surface, a sampled law and a sensor with noise; see `closedloop.gym.task`.
+# A soft and rough surface, a sampled law and a sensor with noise; see `closedloop.gym.terms`.
 SCENARIOS = Path(cl.__file__).parent / "gym" / "scenarios"
 
 CHANGES = (

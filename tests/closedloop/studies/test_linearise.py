@@ -203,7 +203,7 @@ def test_flight_against_mujoco():
 
     scenario = cl.load_scenario("wam_touchdown", {"start.v": [0.3, -0.2, 0.4, 0.1]})
     problem = prepare(scenario)
-    here = Here(problem, instant_of(scenario, problem, 0.005), free=True)
+    here = Here(problem, instant_of(problem, 0.005), free=True)
     other = MuJoCo(problem.robot.model, problem.robot.tip)
     model, data, at = other.model, other.data, other.columns
     h, n = 1e-5, problem.robot.n
@@ -227,7 +227,7 @@ def test_flight_against_drake():
 
     scenario = cl.load_scenario("wam_touchdown", {"start.v": [0.3, -0.2, 0.4, 0.1]})
     problem = prepare(scenario)
-    here = Here(problem, instant_of(scenario, problem, 0.005), free=True)
+    here = Here(problem, instant_of(problem, 0.005), free=True)
     other, n = Drake(problem.robot.model, problem.robot.tip), problem.robot.n
     values = here.instant.values
     other.free_acceleration(values["q"], values["v"], values["torque"])  # which sets the context

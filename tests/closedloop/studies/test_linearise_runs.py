@@ -142,7 +142,7 @@ def test_bristles_of_a_steady_slip(scheme, stiffness):
                   "stiffness": stiffness},
     )  # fmt: skip
     problem = prepare(scenario)
-    instant = instant_of(scenario, problem, 2.0)
+    instant = instant_of(problem, 2.0)
     loop, n, seen = loop_at(problem, instant), problem.robot.n, []
     command = problem.table[round(instant.time / h) * problem.nodes :, Reference.place("force", n)]
     for kick in (1e-3, -2e-3):
@@ -161,7 +161,7 @@ def test_small_steps_of_the_run(case):
     name, changes = PULSES[case]
     scenario = cl.load_scenario(name, {"time.duration": 7.0} | changes)
     problem = prepare(scenario)
-    instant = instant_of(scenario, problem, min(3.0, 0.6 * scenario.time.duration))
+    instant = instant_of(problem, min(3.0, 0.6 * scenario.time.duration))
     loop = loop_at(problem, instant)
     rows, hold = 200, max(problem.hold, 1)
     apart = (run_on(problem, instant, rows, 1e-3) - run_on(problem, instant, rows, -1e-3)) / 2e-3
@@ -186,7 +186,7 @@ def test_small_steps_with_closed_contacts_of_links(case):
     name, changes, at = HELD[case]
     scenario = cl.load_scenario(name, {"time.integrator": "semi_implicit_euler"} | changes)
     problem = prepare(scenario)
-    instant = instant_of(scenario, problem, at)
+    instant = instant_of(problem, at)
     loop, kick, rows = loop_at(problem, instant), 1e-4, 30
     apart = (rows_on(problem, instant, rows, kick) - rows_on(problem, instant, rows, -kick)) / (2.0 * kick)
     names = names_of(scenario.contact)
@@ -208,7 +208,7 @@ def test_a_run_that_goes_on_is_the_run(name, row):
     """What is run on from an instant is the rest of the run, to the last bit; at t = 0 the law has started."""
     scenario = cl.load_scenario(name, {"time.duration": 7.0, "law.force_integral": 10.0})
     problem = prepare(scenario)
-    on = run_on(problem, instant_of(scenario, problem, row * 0.001), 50)
+    on = run_on(problem, instant_of(problem, row * 0.001), 50)
     assert np.array_equal(on, cl.simulate(scenario, progress=False).contact_force[row : row + 50])
 
 
@@ -244,8 +244,8 @@ def test_a_surface_that_breathes(name, size):
     })  # fmt: skip
     at_rest, problem = prepare(still), prepare(moving)
     problem.table[:] = at_rest.table
-    f = run_on(problem, instant_of(moving, problem, 0.0), span)
-    apart, t = (f - run_on(at_rest, instant_of(still, at_rest, 0.0), span))[2000:], 0.001 * np.arange(2000, span)
+    f = run_on(problem, instant_of(problem, 0.0), span)
+    apart, t = (f - run_on(at_rest, instant_of(at_rest, 0.0), span))[2000:], 0.001 * np.arange(2000, span)
     seen = -2.0 * np.mean(np.exp(-4j * math.pi * t) * apart) / size  # it swings with −cos
     wanted = cl.linearise(still, at=2.5).frequency_response("surface", "contact force", 2.0)[0]
     assert abs(seen - wanted) < 0.01 * abs(wanted)

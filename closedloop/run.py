@@ -24,9 +24,16 @@ from closedloop.base import errors
 from closedloop.base.files import what_was_written
 from closedloop.base.interrupts import Terminated, word_for
 from closedloop.base.second_process import Beside
-from closedloop.command.border import DONE, NOT_CONTROLLED, NOT_GOOD, Parser, as_command
+from closedloop.command.border import (
+    DONE,
+    NOT_CONTROLLED,
+    NOT_GOOD,
+    Parser,
+    as_command,
+    list_of_sections,
+    scenario_parser,
+)
 from closedloop.command.lists import list_of_scenarios, versions
-from closedloop.command.shared_options import list_of_sections, scenario_parser
 from closedloop.scenario.load import load_scenario, parse_scenario, split_overrides
 from closedloop.scenario.scenario import Scenario
 from closedloop.scenario.user_module import import_function, import_law, member_digests

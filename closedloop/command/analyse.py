@@ -14,8 +14,7 @@ from typing import TYPE_CHECKING, Any
 from closedloop.base.arrays import plain
 from closedloop.base.errors import ClosedLoopError, ScenarioError
 from closedloop.base.files import made_folder, what_was_written, write_whole
-from closedloop.command.border import DONE, Parser, as_command
-from closedloop.command.shared_options import add_figure_options, drawn_as, formats_of, parsed
+from closedloop.command.border import DONE, Parser, add_figure_options, as_command, drawn_as, formats_of, parsed
 
 if TYPE_CHECKING:
     from closedloop.studies.analysis.stability import Range, Stability

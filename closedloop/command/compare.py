@@ -4,8 +4,7 @@ Exit status: 0 done; 2 the input is at fault (one line on standard error); 3 the
 """
 
 from closedloop.base.files import made_folder, what_was_written, write_whole
-from closedloop.command.border import DONE, Parser, as_command
-from closedloop.command.shared_options import parsed, print_outcome
+from closedloop.command.border import DONE, Parser, as_command, parsed, print_outcome
 
 
 @as_command()

@@ -20,11 +20,16 @@ from importlib.util import find_spec
 from multiprocessing import active_children, get_context
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+import numpy as np
+
 from closedloop.base.errors import ScenarioError
 from closedloop.base.second_process import cores
 from closedloop.command.border import DONE, Parser, as_command
 from closedloop.jit.background import notices, seconds_of_name
+from closedloop.jit.cache_folder import cache_folder, why_not_kept
+from closedloop.jit.calls import entry_address
 from closedloop.jit.dual import FORM
+from closedloop.jit.kernel import direct, jit_disabled
 
 if TYPE_CHECKING:
     from closedloop.base.families import Family
@@ -65,12 +70,18 @@ def _kernels() -> tuple[Piece, ...]:
         Piece("walk", "inverse kinematics of a path", _problem),
         Piece("sample_spline", "a path of joints", _problem),
         _entry("simulation.engines.proceed", "proceed_at", "the step"),
-        Piece("complete_record", "the end of a record", _record),
-        Piece("collide", "impacts", _impacts),
+        Piece(
+            "complete_record", "the end of a record",
+            lambda: direct(_named("loop.step.record_row", "complete_record"), 0, np.zeros((0, 0)), 0),
+        ),
+        Piece("collide", "impacts", lambda: direct(_named("loop.events.transitions", "collide"), 0)),
         Piece("run_compiled", "the compiled engine's terms", _compiled_engine, "proceed_at"),
         Piece("measure_rows", "values of a batch's runs", lambda: _batch(1), "run_compiled"),
         Piece("run_in_lanes", "eight runs of a batch at a time", lambda: _batch(FEWEST), "measure_rows"),
-        Piece("_impact", "a single impact", _impact),
+        Piece(
+            "_impact", "a single impact",
+            lambda: _named("mechanics.impact", "two_phase_impact")(np.eye(3), -np.eye(3)[0], 0.5, friction=0.1),
+        ),
         Piece("put_on_surface", "a path on a surface", lambda: _path("put_on_surface")),
         Piece("normals_on_surface", "the normal along a path", lambda: _path("normals_on_surface")),
         Piece("gradients_on_surface", "the gradient along a path", lambda: _path("gradients_on_surface")),
@@ -85,24 +96,20 @@ def _kernels() -> tuple[Piece, ...]:
         Piece("step_members", "simulations side by side", _together, "run_compiled"),
         _entry("simulation.ensemble.member", "strike", "impacts in them"),
         _entry("simulation.ensemble.lane_steps", "step_in_lanes", "eight of them in SIMD lanes"),
-    )
+    )  # fmt: skip
+
+
+def _named(module: str, name: str) -> Any:
+    return getattr(import_module(f"closedloop.{module}"), name)
 
 
 def _entry(module: str, kernel: str, what: str) -> Piece:
     """Return what is called by address."""
-
-    def compile_it() -> None:
-        from closedloop.jit.calls import entry_address
-
-        entry_address(getattr(import_module(f"closedloop.{module}"), kernel))
-
-    return Piece(kernel, what, compile_it)
+    return Piece(kernel, what, lambda: entry_address(_named(module, kernel)))
 
 
 def _together() -> None:
     """Compile a step of simulations side by side."""
-    import numpy as np
-
     from closedloop.simulation.ensemble.ensemble import Ensemble
 
     ensemble = Ensemble(1, 1, np.zeros((0, 3), dtype=np.int64), 0)
@@ -128,8 +135,6 @@ def _loops(kernel: str) -> None:
 
 
 def _laws() -> Iterable[Piece]:
-    from closedloop.jit.calls import entry_address
-
     for what, entry in _members():
         yield Piece(getattr(entry, "__name__", ""), what, partial(entry_address, entry))
 
@@ -168,9 +173,9 @@ def _members() -> Iterable[tuple[str, Any]]:
 
 def compile_these(names: Sequence[str]) -> None:
     """Compile these kernels, in this order."""
-    from closedloop.jit import cache_folder
+    from closedloop.jit import cache_folder as folders
 
-    cache_folder.make_folders, known = False, [*_kernels()]
+    folders.make_folders, known = False, [*_kernels()]
     if any(name.startswith("entry_of_") for name in names):
         known += _laws()
     for name in names:
@@ -183,7 +188,6 @@ def compile_these(names: Sequence[str]) -> None:
 
 def _duals(names: Collection[str]) -> None:
     """Compile kernels of dual numbers, each by a scenario or a member that has it."""
-    from closedloop.jit.calls import entry_address
     from closedloop.jit.dual import dual
     from closedloop.loop.step.closed_loops import closed_loops
     from closedloop.loop.step.contacts import contacts_in_step
@@ -202,15 +206,6 @@ def _problem() -> Problem:
     return prepare(load_scenario("planar2_slide", {"time.duration": 0.002}))
 
 
-def _record() -> None:
-    import numpy as np
-
-    from closedloop.jit.kernel import direct
-    from closedloop.loop.step.record_row import complete_record
-
-    direct(complete_record, 0, np.zeros((0, 0)), 0)
-
-
 def _compiled_engine() -> None:
     from closedloop.jit.interim import not_compiled_first
     from closedloop.simulation.engines.loops import COMPILED
@@ -221,16 +216,7 @@ def _compiled_engine() -> None:
     run_loop(problem, engine=COMPILED)
 
 
-def _impacts() -> None:
-    from closedloop.jit.kernel import direct
-    from closedloop.loop.events.transitions import collide
-
-    direct(collide, 0)
-
-
 def _energies() -> None:
-    import numpy as np
-
     from closedloop.mechanics.robot.tree import potential_energies, work_size
 
     robot = _problem().robot
@@ -239,9 +225,6 @@ def _energies() -> None:
 
 def _path(kernel: str) -> None:
     """Compile one of the kernels of paths on a surface."""
-    import numpy as np
-
-    from closedloop.jit.calls import entry_address
     from closedloop.mechanics.surface.along import gradients_on_surface
     from closedloop.mechanics.surface.contact import make_memory, normals_on_surface, put_on_surface, surface_entry
     from closedloop.mechanics.surface.kinds.plane import PlaneSurface
@@ -255,14 +238,6 @@ def _path(kernel: str) -> None:
         normals_on_surface(place, memory.address, now, nothing, nothing)
     else:
         put_on_surface(place, memory.address, np.zeros(3), 0.0, now, nothing, nothing, nothing)
-
-
-def _impact() -> None:
-    import numpy as np
-
-    from closedloop.mechanics.impact import two_phase_impact
-
-    two_phase_impact(np.eye(3), np.array([-1.0, 0.0, 0.0]), 0.5, friction=0.1)
 
 
 def _batch(runs: int) -> None:
@@ -279,9 +254,6 @@ MOST_WORKERS = 8  # more would wait for what is compiled one after the other
 @as_command()
 def main(arguments: list[str]) -> int:
     """Compile everything, with a line for each piece, and return the exit status."""
-    from closedloop.jit.cache_folder import cache_folder, why_not_kept
-    from closedloop.jit.kernel import jit_disabled
-
     parser = Parser(
         prog="closedloop compile",
         description="Compile everything that ships, so that no later run has to, and say where it\nis kept.",
@@ -326,7 +298,10 @@ def _compiled(everything: Sequence[Piece], workers: int) -> Iterator[tuple[str, 
                 for at in set(range(workers)) - {at for _, at in running.values()}:
                     ready = [i for i in order if i in waiting and waiting[i].after in {"", *there}]
                     if ready:
-                        i = min(ready, key=partial(_strangeness, waiting, families, at))
+                        # First what shares functions with what this process has compiled, last what another has begun.
+                        i = min(ready, key=lambda i: (
+                            waiting[i].family not in families[at], any(waiting[i].family in each for each in families)
+                        ))  # fmt: skip
                         families[at].add(waiting[i].family)
                         running[pools[at].submit(_compile_piece, i)] = waiting.pop(i), at
                 for done in wait(running, return_when=FIRST_COMPLETED).done:
@@ -341,12 +316,6 @@ def _compiled(everything: Sequence[Piece], workers: int) -> Iterator[tuple[str, 
             for process in active_children():
                 process.terminate()
             raise
-
-
-def _strangeness(waiting: dict[int, Piece], families: list[set[str]], at: int, i: int) -> int:
-    """Return 0 for a piece that shares functions with what a process has compiled, 2 if another has such, else 1."""
-    family = waiting[i].family
-    return 0 if family in families[at] else 1 + any(family in each for each in families)
 
 
 def _compile_piece(i: int) -> tuple[float, float]:

@@ -10,7 +10,7 @@ from contextlib import redirect_stdout, suppress
 from inspect import unwrap
 
 from closedloop.command.border import DONE, Left, Parser, as_command
-from closedloop.command.table import COMMANDS, Command, imported
+from closedloop.command.table import COMMANDS, imported
 
 SHELLS = "bash", "zsh", "fish"
 
@@ -36,7 +36,7 @@ def all_commands() -> ArgumentParser:
     """Return a parser of all commands with the words that may follow each option."""
     import shtab
 
-    from closedloop.command.robots import names
+    from closedloop.command.lists import names
     from closedloop.scenario.load import shipped_scenarios
     from closedloop.scenario.messages import all_keys, choices, sections
     from closedloop.scenario.tables import table_type
@@ -53,7 +53,12 @@ def all_commands() -> ArgumentParser:
     whole = ArgumentParser(prog="closedloop")
     commands = whole.add_subparsers()
     for command in COMMANDS:
-        found = _parser_of(command)
+        found = None
+        with suppress(ImportError), redirect_stdout(io.StringIO()):  # it may not be installed
+            try:
+                unwrap(imported(command))(["--help"])
+            except Left as left:
+                found = left.args[0]
         if found is None:
             continue
         parser = commands.add_parser(command.name, help=command.help, parents=[found], add_help=False)
@@ -65,13 +70,3 @@ def all_commands() -> ArgumentParser:
         for key in keys if command.takes == "scenario" else ():
             parser.add_argument(f"--{key}", choices=robots if key == "robot.model" else choices(key) or None)
     return whole
-
-
-def _parser_of(command: Command) -> ArgumentParser | None:
-    """Return the parser of a command, None if it is not installed."""
-    with suppress(ImportError), redirect_stdout(io.StringIO()):
-        try:
-            unwrap(imported(command))(["--help"])
-        except Left as left:
-            return left.args[0]
-    return None

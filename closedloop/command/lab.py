@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING
 
 from closedloop.base.errors import ScenarioError
 from closedloop.base.interrupts import Terminated
-from closedloop.command.border import DONE, Parser, as_command
-from closedloop.command.shared_options import parsed
+from closedloop.command.border import DONE, Parser, as_command, parsed
 from closedloop.lab.server import is_loopback
 from closedloop.lab.start import NEEDS, lab, open_in_browser
 from closedloop.scenario.user_module import import_law

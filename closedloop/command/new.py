@@ -29,10 +29,13 @@ def main(words: list[str]) -> int:
     from closedloop.command.first_slide import first_slide, held
     from closedloop.mechanics.robot.pinocchio import Robot
     from closedloop.scenario.load import parse_scenario
+    from robot_models.described import names_a_file
 
     robot = Robot(held(options.robot), options.tip)
-    scenario = first_slide(robot, options.robot, options.force)
-    text = scenario_text(scenario, robot, _named_from(file, options.robot))
+    scenario, model = first_slide(robot, options.robot, options.force), options.robot
+    if names_a_file(model) and not os.path.isabs(model):  # named from the scenario's own folder
+        model = Path(os.path.relpath(model, file.parent)).as_posix()
+    text = scenario_text(scenario, robot, model)
     parse_scenario(text, file.stem, str(file))  # refuses a name that is none
     write_whole(file, text.encode(), replace=False)
     print(printable(f"{what_was_written(file)}: {_what(scenario, robot)}"))
@@ -162,12 +165,3 @@ def _quoted(text: str) -> str:
     import tomli_w
 
     return tomli_w.dumps({"x": text}).partition("=")[2].strip()
-
-
-def _named_from(file: Path, robot: str) -> str:
-    """Return a robot's name, or its file as the scenario's file has to name it: from its own folder."""
-    from robot_models.described import names_a_file
-
-    if not names_a_file(robot) or os.path.isabs(robot):
-        return robot
-    return Path(os.path.relpath(robot, file.parent)).as_posix()

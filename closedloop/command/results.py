@@ -65,7 +65,14 @@ class Results:
 
     def __init__(self, folder: Path, question: dict[str, str], overwrite: bool) -> None:
         self.folder, self.not_first = folder, ""
-        self._made, self._lock = _made_and_locked(folder)
+        lock = None
+        while lock is None:
+            self._made = _make_writable(folder)
+            with suppress(FileNotFoundError):  # removed in between by another run that gave nothing
+                lock = files.FolderLock.of(folder)
+                if lock is None:
+                    raise _taken(folder, "another run is being written there")
+        self._lock = lock
         try:
             files.remove_unfinished(folder)
             self._rows, self._other = -1, False
@@ -133,17 +140,6 @@ class Results:
                     path.unlink()
             except OSError as error:
                 raise OutputError(f"{path}: cannot be removed: {files.reason_of(error)}") from None
-
-
-def _made_and_locked(folder: Path) -> tuple[list[Path], files.FolderLock]:
-    """Make a folder and lock it; return the folders that were not there, and the lock."""
-    while True:
-        made = _make_writable(folder)
-        with suppress(FileNotFoundError):  # removed in between by another run that gave nothing
-            lock = files.FolderLock.of(folder)
-            if lock is None:
-                raise _taken(folder, "another run is being written there")
-            return made, lock
 
 
 def _make_writable(folder: Path) -> list[Path]:

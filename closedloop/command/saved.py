@@ -7,8 +7,7 @@ import json
 from pathlib import Path
 
 from closedloop.base.errors import RunFileError
-from closedloop.command.border import DONE, Parser, as_command
-from closedloop.command.shared_options import add_figure_options, drawn_as, formats_of
+from closedloop.command.border import DONE, Parser, add_figure_options, as_command, drawn_as, formats_of
 
 
 @as_command()

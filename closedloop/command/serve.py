@@ -9,9 +9,8 @@ from pathlib import Path
 from closedloop.base.errors import ScenarioError, SimulationError, printable
 from closedloop.base.files import what_was_written
 from closedloop.base.interrupts import Terminated
-from closedloop.command.border import DONE, Parser, as_command
+from closedloop.command.border import DONE, Parser, as_command, parsed
 from closedloop.command.results import Results, first_free
-from closedloop.command.shared_options import parsed
 from closedloop.lab.server import is_loopback
 from closedloop.lab.start import NEEDS
 from closedloop.scenario.user_module import member_digests

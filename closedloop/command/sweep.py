@@ -67,8 +67,7 @@ def as_process(arguments: Sequence[str] | None = None) -> int:
 def _sweep(arguments: list[str]) -> int:
     from closedloop.base.errors import ScenarioError
     from closedloop.base.progress import count
-    from closedloop.command.border import DONE, NOT_CONTROLLED, NOT_GOOD, STOPPED
-    from closedloop.command.shared_options import parsed
+    from closedloop.command.border import DONE, NOT_CONTROLLED, NOT_GOOD, STOPPED, parsed
     from closedloop.studies.sweep.store import why_no_place
     from closedloop.studies.sweep.sweep import run_sweep
 
@@ -161,7 +160,7 @@ def _counted(result: Joined) -> str:
 
 
 def _sweep_parser() -> Parser:
-    from closedloop.command.shared_options import list_of_sections, scenario_parser
+    from closedloop.command.border import list_of_sections, scenario_parser
     from closedloop.simulation.engines.loops import COMPILED, ENGINES
 
     parser = scenario_parser(
@@ -205,8 +204,7 @@ def _sweep_parser() -> Parser:
 
 
 def _plot(arguments: list[str]) -> int:
-    from closedloop.command.border import DONE, Parser
-    from closedloop.command.shared_options import add_figure_options, drawn_as
+    from closedloop.command.border import DONE, Parser, add_figure_options, drawn_as
 
     parser = Parser(prog="closedloop sweep plot", description="Draw maps of a sweep's table.")
     parser.add_argument("table", help="the .parquet file of a sweep")

@@ -34,7 +34,7 @@ COMMANDS = (
     Command("excite", "design a motion that identifies parameters", "closedloop.command.excite:main"),
     Command("compare", "compare a log or a saved run with a scenario", "closedloop.command.compare:main"),
     Command("validate", "compare the simulator with other engines", "validation.run:main"),
-    Command("robots", "list the robots, or show one: joints, frames", "closedloop.command.robots:main", "robot"),
+    Command("robots", "list the robots, or show one: joints, frames", "closedloop.command.lists:robots", "robot"),
     Command("scenarios", "list the scenarios of the package", "closedloop.command.lists:scenarios"),
     Command("lab", "open the lab: sliders, the arm in space, curves", "closedloop.command.lab:main", "scenario"),
     Command("serve", "let another program drive a scenario", "closedloop.command.serve:main", "scenario"),

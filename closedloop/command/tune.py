@@ -5,8 +5,7 @@ Exit status: 0 done; 2 the input is at fault; 3 no point that was tried meets th
 
 from closedloop.base.errors import ScenarioError
 from closedloop.base.files import made_folder, what_was_written, write_whole
-from closedloop.command.border import DONE, STOPPED, Parser, as_command
-from closedloop.command.shared_options import parsed, print_outcome
+from closedloop.command.border import DONE, STOPPED, Parser, as_command, parsed, print_outcome
 
 
 @as_command()

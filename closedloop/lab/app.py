@@ -172,7 +172,9 @@ class Answers:
 
         Return whether these kinds are new.
         """
-        kinds = (engine, scenario.time.integrator, *_kinds(scenario))
+        sections = (getattr(scenario, name) for name in type(scenario).model_fields)
+        kinds = engine, scenario.surface.contact, *(str(getattr(section, "kind", "")) for section in sections)
+        kinds = *kinds, scenario.time.integrator
         if kinds in self._ready or scenario.time.integrator in ADAPTIVE:
             return False
         few = min(FEW, round(scenario.time.duration / scenario.time.step))
@@ -190,12 +192,6 @@ class Answers:
         finally:
             self._say("")
         return True
-
-
-def _kinds(scenario: Scenario) -> tuple[str, ...]:
-    """Return the kinds of a scenario's sections: they decide which loop runs."""
-    sections = (getattr(scenario, name) for name in type(scenario).model_fields)
-    return (scenario.surface.contact, *(str(getattr(section, "kind", "")) for section in sections))
 
 
 # Steps of the run of which a picture is.
@@ -277,7 +273,9 @@ class Lab(Pages):
         self.ghosts: tuple[Ghost, ...] = tuple(ghosts)
         prepare(history.base, self.answers.model(history.base))  # what cannot be run is refused before there is a page
         self.details, self.map = details(self), map_work(self)
-        self._newest: Newest[Asked, tuple[Answers, Answer]] = Newest(self._compute, self._show)
+        self._newest: Newest[Asked, tuple[Answers, Answer]] = Newest(
+            lambda asked: (asked[0], asked[0].answer(*asked[1:])), self._show
+        )
         theme = "dark" if dark else ""
         self.listen(
             host, port, lambda nonce: page(f"closedloop: {self.history.base.name}", theme=theme, nonce=nonce),
@@ -392,10 +390,6 @@ class Lab(Pages):
     def computes(self) -> bool:
         """Whether a run is being computed, or waits for it."""
         return not self._newest.idle
-
-    def _compute(self, request: Asked) -> tuple[Answers, Answer]:
-        answers, changes, key = request
-        return answers, answers.answer(changes, key)
 
     def _show(self, found: tuple[Answers, Answer]) -> None:
         answers, answer = found

@@ -118,17 +118,13 @@ def curves(
     begin, end = (float(run.time[0]), float(run.time[-1])) if window is None else window
     columns = set(column_names(run))
     found = [*(panels(run) if there is None else there), *(column_panel(run, name) for name in more if name in columns)]
-    return [_panel(reduced(panel, begin, end, cells)) for panel in found]
-
-
-def _panel(panel: Panel) -> Message:
-    return {
-        "name": panel.name, "title": panel.title, "time": panel.time, "band": panel.band, "main": panel.main.label,
-        "factor": panel.factor,
-        "traces": [
-            {"label": t.label, "colour": t.colour, "limit": t.limit, "values": t.values} for t in panel.traces
-        ],
-    }  # fmt: skip
+    return [
+        {
+            "name": panel.name, "title": panel.title, "time": panel.time, "band": panel.band,
+            "main": panel.main.label, "factor": panel.factor, "traces": [vars(trace) for trace in panel.traces],
+        }
+        for panel in (reduced(each, begin, end, cells) for each in found)
+    ]  # fmt: skip
 
 
 def run_message(run: Run, panels_of_it: list[Message], **more: Any) -> Message:

@@ -424,7 +424,13 @@ class MapWork:
             if stopped():
                 return
             study = Stability(found.scenario, model=found.model)
-            over, along = (_range(axis) for axis in (found.y, found.x))
+            ranges = []
+            for axis in (found.y, found.x):
+                control, ends = axis.control, (float(axis.values[0]), float(axis.values[-1]))
+                held = () if control.index is None else tuple(control.value)
+                index = None if axis.together else control.index
+                ranges.append(Range(control.key, *ends, control.form == "log", held, index))
+            over, along = ranges
             limits = study.boundary(over, along, POINTS, FINE, stopped)
         except (ClosedLoopError, ArithmeticError, ValueError):
             return
@@ -448,10 +454,3 @@ class MapWork:
 
 def _axis(axis: Axis) -> Message:
     return {"label": axis.label, "values": axis.values, "log": axis.control.form == "log"}
-
-
-def _range(axis: Axis) -> Range:
-    control = axis.control
-    held = () if control.index is None else tuple(control.value)
-    ends = float(axis.values[0]), float(axis.values[-1])
-    return Range(control.key, *ends, control.form == "log", held, None if axis.together else control.index)

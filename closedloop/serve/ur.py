@@ -130,7 +130,10 @@ class Ur(Interface):
                 due = [each for each, link in self._links.items() if link.runs and cycle % link.every == 0]
                 values = self._values() if due else {}
                 for client in due:
-                    self._guarded(client, self._report, values)
+                    kinds = [(values.get(name, 0), GIVEN[name]) for name in self._links[client].outputs]
+                    packed = [(TYPES[kind], np.broadcast_to(value, _count(kind)).tolist()) for value, kind in kinds]
+                    body = b"\x01" + b"".join(struct.pack(f">{letters}", *numbers) for letters, numbers in packed)
+                    self._guarded(client, self._answer, DATA, body)
         self.say("the record is full: the server ends; --time.duration makes it longer")
 
     def close(self) -> None:
@@ -257,14 +260,6 @@ class Ur(Interface):
             "actual_TCP_force": wrench, "ft_raw_wrench": raw, "tcp_force_scalar": float(np.linalg.norm(force)),
             "speed_scaling": 1.0, "target_speed_fraction": 1.0, **self._tool, **RUNNING,
         }  # fmt: skip
-
-    def _report(self, client: Client, values: dict[str, Any]) -> None:
-        names = self._links[client].outputs
-        parts = []
-        for name in names:
-            kind = GIVEN[name]
-            parts.append(struct.pack(">" + TYPES[kind], *np.broadcast_to(values.get(name, 0), _count(kind)).tolist()))
-        self._answer(client, DATA, b"\x01" + b"".join(parts))
 
 
 # How the state of an arm is told that runs a program: powered, normal, joints running.

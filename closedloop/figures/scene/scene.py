@@ -20,7 +20,6 @@ from closedloop.figures.force import Drawn, contacts_drawn
 from closedloop.figures.motion import frame_of
 from closedloop.figures.scene.solids import Ghost, Joined, Shape, reactions_in, robot_in, robot_shapes, solids_mesh
 from closedloop.mechanics.closure.contact_force import FREE
-from closedloop.mechanics.loops.moved import MovedFrame
 from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.mechanics.surface.kinds.plane import PlaneSurface
 from closedloop.mechanics.surface.motion import SurfaceMotion
@@ -223,7 +222,14 @@ class Scene:
         moved = {name: (first + k, each) for k, each in enumerate(self.robot.moved) for name in each.names}
         if not moved:
             return shapes
-        return tuple(_in_frame(s, *moved[s.frame]) if s.frame in moved else s for s in shapes)
+        found = []
+        for shape in shapes:
+            if shape.frame in moved:  # given in the base frame
+                number, frame = moved[shape.frame]
+                vertices = (shape.vertices - frame.origin) @ frame.axes
+                shape = replace(shape, joint=number, vertices=vertices.astype(np.float32))
+            found.append(shape)
+        return tuple(found)
 
     @cached_property
     def ground(self) -> Ground:
@@ -298,10 +304,16 @@ class Scene:
         reactions = reactions_in(self.run, np.asarray(rows, dtype=np.int64))
         found = [self._at_tip(row) for row in rows]
         if self.joined.loops or self.touching or self.run.scenario.external_force:
-            for arrows, row, each in zip(found, rows, reactions, strict=True):
+            for arrows, row, reaction in zip(found, rows, reactions, strict=True):
                 there = self.joint_places(row)
-                arrows += [*self._in_loops(each, *there), *self._of_patches(self.between_links(row, *there), row)]
-                arrows += self._from_outside(row, *there)
+                forces, (_, places) = self.joined.forces(reaction, *there), self.joined.places(*there)
+                each = zip(places, forces, self.joined.loops, strict=True)
+                arrows += [Arrow(place, force, f"{LOOP} {loop.name}", LOOP) for place, force, loop in each]
+                arrows += self._of_patches(self.between_links(row, *there), row)
+                axes, origins = there[0][None], there[1][None]
+                outside = external_wrenches(self.run, self._bare, self.tip, axes, origins, slice(row, row + 1))
+                for k, (_, p, wrench) in enumerate(outside):
+                    arrows.append(Arrow(p[0], wrench[0, :3], f"{OUTSIDE} {k}", OUTSIDE))
         return found
 
     def _at_tip(self, row: int) -> list[Arrow]:
@@ -309,11 +321,6 @@ class Scene:
         wanted = 0.0 if run.mode[row] == FREE else float(run.reference_force[row])  # it acts on nothing there
         forces = run.contact_force[row] * normal, np.array(run.friction_force[row]), -wanted * normal
         return [Arrow(run.position[row], force, kind, kind) for kind, force in zip(ARROWS, forces, strict=False)]
-
-    def _in_loops(self, reactions: Array, axes: Array, origins: Array) -> list[Arrow]:
-        forces, (_, places) = self.joined.forces(reactions, axes, origins), self.joined.places(axes, origins)
-        each = zip(places, forces, self.joined.loops, strict=True)
-        return [Arrow(place, force, f"{LOOP} {loop.name}", LOOP) for place, force, loop in each]
 
     def between_links(self, row: int, axes: Array, origins: Array) -> list[Arrow]:
         """Return the force of each contact of links in a row, where the joints' frames are as `joint_places` has them.
@@ -344,11 +351,6 @@ class Scene:
             tails, forces = (np.array([arrow[part] for arrow in own]) for part in (0, 1))
             found.append(Arrow(weights @ tails, forces.sum(axis=0), f"{TOUCH} {patch.name}", TOUCH))
         return found
-
-    def _from_outside(self, row: int, axes: Array, origins: Array) -> list[Arrow]:
-        here = axes[None], origins[None], slice(row, row + 1)
-        each = external_wrenches(self.run, self._bare, self.tip, *here)
-        return [Arrow(p[0], wrench[0, :3], f"{OUTSIDE} {k}", OUTSIDE) for k, (_, p, wrench) in enumerate(each)]
 
     @cached_property
     def _bare(self) -> Any:
@@ -423,12 +425,6 @@ class Scene:
     def metres_per_newton(self) -> float:
         """A round scale for arrows at which the largest usual force of this run is as long as `LONGEST` says."""
         return round_down(LONGEST * self.size / self.usual_force) if self.usual_force > 0.0 else 0.01
-
-
-def _in_frame(shape: Shape, number: int, frame: MovedFrame) -> Shape:
-    """Return a shape in the base frame as one in a frame that moves, which has that number among the places."""
-    vertices = (shape.vertices - frame.origin) @ frame.axes
-    return replace(shape, joint=number, vertices=vertices.astype(np.float32))
 
 
 def scene_of(run: Run, ghosts: Sequence[Ghost] = ()) -> Scene:

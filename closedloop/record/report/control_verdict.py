@@ -23,7 +23,6 @@ The later half leaves a run the first for its transients: an approach, the bounc
 
 import math
 from collections.abc import Mapping, Sequence
-from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -85,7 +84,7 @@ def regular_swing(x: Array, bound: float, h: float, begin: float, periods: int =
     """
     if len(x) < periods * ROWS_IN_PERIOD:
         return None
-    k, middle = _centred(len(x)), float(np.add.reduce(x)) / len(x)
+    k, middle = np.arange(len(x)) - 0.5 * (len(x) - 1), float(np.add.reduce(x)) / len(x)
     slope = float(np.dot(k, x)) / (len(x) * (len(x) ** 2 - 1.0) / 12.0)  # a drift is no swing
     # Without the work below: in each period the signal less its drift is beyond half the bound on both sides.
     level = 0.5 * bound - abs(middle) - 0.5 * len(x) * abs(slope)
@@ -112,12 +111,6 @@ def regular_swing(x: Array, bound: float, h: float, begin: float, periods: int =
     if last <= bound or growth < 1.0 / GROWTH or ended:
         return None
     return Swing(last, period * h, begin + rises[0] * h, growth, lengths.size)
-
-
-@lru_cache(maxsize=8)
-def _centred(count: int) -> Array:
-    """Return whole numbers about 0; read only."""
-    return np.arange(count, dtype=float) - 0.5 * (count - 1)
 
 
 def rms(x: Array) -> float:

@@ -249,7 +249,9 @@ def assumptions(run: Record, measures: Mapping[str, float | None]) -> dict[str, 
         missing = {"held": None, "first_failed": 0.0, "measured": "no row could be computed"}
         return {name: missing | {"expected": name not in outside} for name in NAMES}
     motion = float(np.max(run.residual_motion))
-    stiffest = _stiffest(run)
+    # the row at which the tip moves least along the normal; the middle of those of a pose that it passes
+    stiffest = int(np.argmin(run.normal_mobility))
+    stiffest += int(np.sum(np.cumprod(run.normal_mobility[stiffest:] == run.normal_mobility[stiffest]))) // 2
     friction = np.linalg.norm(run.friction_force, axis=1)
     in_joints = np.max(np.abs(run.joint_friction), axis=1)
     only_contact = f"other forces ≤ {motion:.0e}"
@@ -295,13 +297,6 @@ def assumptions(run: Record, measures: Mapping[str, float | None]) -> dict[str, 
     for name, verdict in report.items():
         verdict["expected"] = name not in outside
     return report
-
-
-def _stiffest(run: Record) -> int:
-    """Return the row at which the tip moves least along the normal; the middle of those of a pose that it passes."""
-    first = int(np.argmin(run.normal_mobility))
-    alike = np.cumprod(run.normal_mobility[first:] == run.normal_mobility[first])
-    return first + int(np.sum(alike)) // 2
 
 
 def _judge(run: Record, held: NDArray[np.bool_], measured: str) -> dict[str, Any]:

@@ -62,7 +62,14 @@ class Comparison:
         """What varies and over which values, in words; "" if nothing does."""
         columns = list(self.runs.columns)
         keys = columns[columns.index("scenario") + 1 : columns.index("status")]
-        return "; ".join(f"{key} = {_listed(list(dict.fromkeys(map(_in_words, self.runs[key]))))}" for key in keys)
+        said = []
+        for key in keys:
+            words = [f"{x:.6g}" if isinstance(x, float) else str(x) for x in self.runs[key]]
+            words = list(dict.fromkeys(words))
+            if len(words) > NAMED:
+                words = [", ".join(words[:2]) + f" ... {words[-1]} ({len(words)} values)"]
+            said.append(f"{key} = {', '.join(words)}")
+        return "; ".join(said)
 
     def table(self) -> pd.DataFrame:
         """Return a row for each scenario: how many runs it has, how many are good, the median and the worst values.
@@ -156,17 +163,6 @@ def compare(
         frame.insert(0, "scenario", name)
         tables.append(frame)
     return Comparison(pd.concat(tables, ignore_index=True), tuple(of), units)
-
-
-def _in_words(value: Any) -> str:
-    return f"{value:.6g}" if isinstance(value, float) else str(value)
-
-
-def _listed(words: list[str]) -> str:
-    """Return values one after the other; of many the first and the last ones, and how many there are."""
-    if len(words) <= NAMED:
-        return ", ".join(words)
-    return f"{words[0]}, {words[1]} ... {words[-1]} ({len(words)} values)"
 
 
 def _named(scenarios: Mapping[str, Scenario] | Sequence[Scenario | str]) -> dict[str, Scenario]:

@@ -502,8 +502,12 @@ def along(
             mine = ran[2 * LEVELS * i : 2 * LEVELS * (i + 1)]
             _take(found[d], steps[d], d.step, base, mine[:LEVELS], mine[LEVELS:], scatter)
     for d, known in found.items():
+        # One-sided derivatives have no bound, as that of a square root at 0, if their differences grow.
         natural = base.scale / (100.0 * d.step)
-        known.below, known.above = (side and _bounded(side, natural) for side in (known.below, known.above))
+        known.below, known.above = (
+            side and (np.where(side[1] <= SETTLES * np.maximum(np.abs(side[0]), natural), side[0], np.nan), side[1])
+            for side in (known.below, known.above)
+        )
         if known.best is None and known.at_a_row is not None:
             estimate = known.at_a_row
             jumps = estimate.error > AT_A_ROW * np.maximum(
@@ -517,7 +521,10 @@ def _take(
     known: Along, h: float, size: float, base: Sample, minus: list[Sample], plus: list[Sample], scatter: Array
 ) -> None:
     """Take a table of runs, whose values scatter by `scatter`, into what is known of a direction."""
-    whys = [_first_difference(base, side) for side in (minus, plus)]
+    whys = []  # of each side what happens otherwise in the first such run
+    for side in (minus, plus):
+        said = [why for each in side if (why := difference(base, each))]
+        whys.append(next((why for why in said if why != PAST_A_ROW), PAST_A_ROW if said else ""))
     below, above = (
         np.array([each.values for each in side]) if why in ("", PAST_A_ROW) else None
         for side, why in zip((minus, plus), whys, strict=True)
@@ -542,11 +549,6 @@ def _take(
         known.above = _better_side(known.above, one_sided(h, base.values, above, scatter))
 
 
-def _first_difference(base: Sample, side: list[Sample]) -> str:
-    whys = [why for each in side if (why := difference(base, each))]
-    return next((why for why in whys if why != PAST_A_ROW), PAST_A_ROW if whys else "")
-
-
 def better(one: Estimate, other: Estimate) -> Estimate:
     """Return the better of two estimates, quantity by quantity; the other is of shorter steps.
 
@@ -555,15 +557,6 @@ def better(one: Estimate, other: Estimate) -> Estimate:
     take = (other.error < one.error) | (one.kink & ~other.kink)
     parts = ("value", "error", "below", "above", "kink")
     return Estimate(*(np.where(take, getattr(other, part), getattr(one, part)) for part in parts))
-
-
-def _bounded(side: tuple[Array, Array], natural: Array) -> tuple[Array, Array]:
-    """Return one-sided derivatives, NaN where they have no bound, as that of a square root at 0: its differences grow.
-
-    A derivative of a size that is natural to its quantity is `natural`, (M,).
-    """
-    value, error = side
-    return np.where(error <= SETTLES * np.maximum(np.abs(value), natural), value, np.nan), error
 
 
 def _better_side(known: tuple[Array, Array] | None, new: tuple[Array, Array]) -> tuple[Array, Array]:

@@ -339,7 +339,11 @@ def _exact(
     called = tuple(kernels(start, any(each.parts[constants] is not None for each in known.values())))
     if called in _refused:
         raise NotDualError(_refused[called])
-    _have_compiled(called)
+    missing = [each for each in called if needs_compiling(each)]
+    if missing and not refused() and not why_not_kept():  # behind this process, or here if none may
+        start_compiling(missing)
+        raise NotDualError("the kernels of dual numbers are being compiled")
+    make_ready(*called)
     for begin in range(0, len(directions), DIRECTIONS):
         some = directions[begin : begin + DIRECTIONS]
         try:
@@ -389,15 +393,6 @@ def _largest(values: Array, sizes: Sequence[int]) -> Array:
 def _tree_constants(start: Prepared) -> int:
     """Return which of the prepared arrays are the constants of the robot."""
     return next(i for i, array in enumerate(start.floats) if array is start.tree.constants)
-
-
-def _have_compiled(called: Sequence[Any]) -> None:
-    """Have kernels compiled: behind this process, or here if none may."""
-    missing = [each for each in called if needs_compiling(each)]
-    if missing and not refused() and not why_not_kept():
-        start_compiling(missing)
-        raise NotDualError("the kernels of dual numbers are being compiled")
-    make_ready(*called)
 
 
 def _the_same(run: Run, start: Prepared, duals: DualRun) -> bool:

@@ -148,7 +148,9 @@ def excite(
     names = tuple(regressor.names[k] for k in base.kept)
     asked = _asked(target, names, base, regressor)
     series = _Series(model, duration, harmonics, acceleration, share)
-    sigma = _noise(model, noise)
+    effort = np.asarray(model.effort_limit, dtype=np.float64)
+    usual = np.where(np.isfinite(effort) & (effort > 0.0), NOISE * effort, NO_EFFORT)
+    sigma = usual if noise is None else _positive("noise", noise, model.n)
     rows_per_row = duration * rate / JUDGED
 
     def variances(coefficients: Array) -> tuple[Array, Array]:
@@ -243,13 +245,6 @@ def _asked(target: Sequence[str], names: Sequence[str], base: BaseParameters, re
             raise ModelError(f"{name}: no torque depends on it")
         raise ModelError(f"{name!r} is no parameter of {regressor.robot.name}: they are {', '.join(names)}")
     return [names.index(name) for name in target]
-
-
-def _noise(robot: RobotModel, noise: ArrayLike | None) -> Array:
-    if noise is None:
-        effort = np.asarray(robot.effort_limit, dtype=np.float64)
-        return np.where(np.isfinite(effort) & (effort > 0.0), NOISE * effort, NO_EFFORT)
-    return _positive("noise", noise, robot.n)
 
 
 def _positive(name: str, value: ArrayLike, n: int) -> Array:

@@ -43,7 +43,14 @@ def table_of_bag(path: Path) -> dict[str, Array]:
     if find_spec("mcap_ros2") is None:
         raise LogError(f"{path}: {NEEDS}")
     try:
-        messages = list(_messages(path))
+        inside = sorted([*path.glob("*.mcap"), *path.glob("*.db3")])
+        files = [path] if path.is_file() else [file for file in inside if file.is_file()]  # a pipe would be waited for
+        if not files:
+            raise LogError(f"{path}: is no file, and no folder with .mcap or .db3")
+        mcap = [file.suffix.lower() == ".mcap" for file in files]
+        messages = [
+            m for file, is_mcap in zip(files, mcap, strict=True) for m in (_of_mcap if is_mcap else _of_database)(file)
+        ]
     except LogError:
         raise
     except Exception as error:  # whatever the readers raise
@@ -78,16 +85,6 @@ def table_of_bag(path: Path) -> dict[str, Array]:
 
 def _times(messages: list[Any]) -> Array:
     return np.array([m.header.stamp.sec + 1e-9 * m.header.stamp.nanosec for m in messages], dtype=np.float64)
-
-
-def _messages(path: Path) -> Iterator[tuple[str, str, Any]]:
-    """Yield topic, kind and message of joints and wrenches, in the order of the bag."""
-    inside = sorted([*path.glob("*.mcap"), *path.glob("*.db3")])
-    files = [path] if path.is_file() else [file for file in inside if file.is_file()]  # a pipe would be waited for
-    if not files:
-        raise LogError(f"{path}: is no file, and no folder with .mcap or .db3")
-    for file in files:
-        yield from _of_mcap(file) if file.suffix.lower() == ".mcap" else _of_database(file)
 
 
 def _of_mcap(file: Path) -> Iterator[tuple[str, str, Any]]:
@@ -428,8 +425,12 @@ def joints_of(
     for names in tried:
         found = columns_named(table, names, what, path, said) if len(names) == n else None
         if found is not None:
-            if not currents:
-                _refuse_currents(table, names, path)
+            for name in names if not currents else ():  # nothing says how many N m an A is
+                units = [unit[1].strip().lower() for each in (name, _column(table, name, "torque", path) or "")
+                         if (unit := _UNIT.search(each))]  # fmt: skip
+                if units and units[0] in CURRENTS:
+                    cure = "give the N m/A of each joint, as in --gain 13.6,14.3"
+                    raise LogError(f"{path}: {name!r} is a current, in A: {cure}")
             return np.stack(found, axis=1)
     if asked:
         missing = _lacking(table, tried[0], what, path)[:1]
@@ -443,15 +444,6 @@ def joints_of(
                 f"{listed(table)}"
             )
     return None
-
-
-def _refuse_currents(table: dict[str, Array], names: Sequence[str], path: Path) -> None:
-    """Refuse columns of torques in A: nothing says how many N m an A is."""
-    for name in names:
-        units = [found[1].strip().lower() for each in (name, _column(table, name, "torque", path) or "")
-                 if (found := _UNIT.search(each))]  # fmt: skip
-        if units and units[0] in CURRENTS:
-            raise LogError(f"{path}: {name!r} is a current, in A: give the N m/A of each joint, as in --gain 13.6,14.3")
 
 
 def _lacking(table: dict[str, Array], names: Sequence[str], what: str, path: Path) -> list[str]:

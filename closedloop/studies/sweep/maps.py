@@ -231,10 +231,14 @@ def draw_maps(
         _panel(figure, panel, table, keys, first, second, name)
     for panel in panels[len(wanted) :]:
         panel.remove()
-    others = [key for key in keys if key not in (first, second)]
-    figure.suptitle(
-        _headline(table, others if second is not None or len(others) > 1 else []), fontsize="medium", x=0.01, ha="left"
-    )
+    statuses, others = table["status"].to_pylist(), [key for key in keys if key not in (first, second)]
+    failed = {status: statuses.count(status) for status in ("stopped", "refused")}
+    text = f"{len(statuses)} runs" + "".join(f", {many} {status}" for status, many in failed.items() if many)
+    if failed["refused"]:
+        text += " (hatched or crossed)"
+    if others and (second is not None or len(others) > 1):
+        text += f"; {', '.join(others)} {'varies' if len(others) == 1 else 'vary'} too"
+    figure.suptitle(text, fontsize="medium", x=0.01, ha="left")
     return figure
 
 
@@ -252,15 +256,6 @@ def _meant(name: str, known: Sequence[str]) -> str:
     near = difflib.get_close_matches(name, known, n=1, cutoff=0.6)
     near = near or [each for each in known if len(name) > 2 and name in each][:1]
     return f"did you mean '{near[0]}'?" if near else f"they are {', '.join(known)}"
-
-
-def _headline(table: pa.Table, others: Sequence[str]) -> str:
-    statuses = table["status"].to_pylist()
-    failed = {status: statuses.count(status) for status in ("stopped", "refused")}
-    text = f"{len(statuses)} runs" + "".join(f", {many} {status}" for status, many in failed.items() if many)
-    if failed["refused"]:
-        text += " (hatched or crossed)"
-    return text + (f"; {', '.join(others)} {'varies' if len(others) == 1 else 'vary'} too" if others else "")
 
 
 def _read(path: Path) -> pa.Table:

@@ -210,7 +210,8 @@ class Store:
         while self._lock is None:
             self.folder.mkdir(parents=True, exist_ok=True)
             with suppress(FileNotFoundError):  # removed in between by another process
-                if self._names() and not description.is_file():
+                there = [path for path in self.folder.iterdir() if not path.name.endswith(".unfinished")]
+                if there and not description.is_file():
                     raise OutputError(f"--out {self.out}: {self.folder} is there and holds no sweep; name another file")
                 self._lock = FolderLock.of(self.folder)
                 if self._lock is None:
@@ -234,10 +235,6 @@ class Store:
         if kind is not None and self._lock is not None and not any(self.folder.glob("part-*.arrow")):
             self.remove()  # nothing is done that could be gone on with
         self._close()
-
-    def _names(self) -> set[str]:
-        """Return the names of what is in the folder, but for what is about to get another."""
-        return {path.name for path in self.folder.iterdir() if not path.name.endswith(".unfinished")}
 
     def _close(self) -> None:
         if self._lock is not None:

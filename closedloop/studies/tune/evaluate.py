@@ -252,7 +252,10 @@ class Runs:
             table = simulate_batch(self.scenario, changes, engine=self._engine, workers=self._workers)
             ran = np.array([status == "done" for status in table.column("status").to_pylist()])
             if not whatever:
-                ran &= [self._means_something(verdict) for verdict in table.column("verdict").to_pylist()]
+                said = [(verdict or "").split(", ") for verdict in table.column("verdict").to_pylist()]
+                faults = [MEANINGLESS.intersection(words) for words in said]
+                self.refused.update(name for names in faults for name in names)
+                ran &= [not names for names in faults]
             for i in plain:
                 column = [one_number(value) for value in table.column(self.names[i]).to_pylist()]
                 found[:, i] = np.where(ran, column, math.nan)
@@ -264,12 +267,6 @@ class Runs:
         self._report(self.done)
         return found.reshape(len(changed), len(self.variations), -1)
 
-    def _means_something(self, verdict: str | None) -> bool:
-        """Return whether the numbers of a run of this verdict mean something; count the problems if not."""
-        problems = MEANINGLESS.intersection((verdict or "").split(", "))
-        self.refused.update(problems)
-        return not problems
-
     def _margins(self, variants: Variants, values: Mapping[str, Any], row: Array, whatever: bool) -> None:
         """Write the margins of a run; a loop that is unstable has negative ones, one that is not resolved none."""
         loops: dict[str, Any] = {}
@@ -280,7 +277,9 @@ class Runs:
             try:
                 if instant not in loops:
                     loops[instant] = linearise(variants.scenario(tuple(values.values())), float(instant))
-                    if not whatever and self._unresolved(loops[instant].scenario):
+                    scenario = loops[instant].scenario
+                    if not whatever and unresolved_feedback(scenario, robot_of(scenario, load_model(scenario))):
+                        self.refused["resolution"] += 1
                         loops[instant] = None
                 loop = loops[instant]
                 if loop is None:
@@ -290,14 +289,14 @@ class Runs:
             except ClosedLoopError:
                 row[i] = math.nan
 
-    def _unresolved(self, scenario: Scenario) -> bool:
-        found = unresolved_feedback(scenario, robot_of(scenario, load_model(scenario)))
-        self.refused.update(["resolution"] * bool(found))
-        return bool(found)
-
     def _read(self, kept: Path) -> None:
         """Take what has been run from the file, or begin one."""
-        mine = json.loads(json.dumps(self._identity(), default=str))
+        over = {key: [row[key] for row in self.variations] for key in (self.variations or [{}])[0]}
+        depends = identity_of(self.scenario, over, self._engine) | {
+            "vary": [(each.name, each.low, each.high, each.log) for each in self.some],
+            "names": self.names, "over": self.variations,
+        }  # fmt: skip
+        mine = json.loads(json.dumps(depends, default=str))
         try:
             text = kept.read_text(encoding="utf-8") if kept.exists() else ""
         except (OSError, UnicodeDecodeError) as error:
@@ -328,11 +327,3 @@ class Runs:
                 file.write("\n".join(lines) + "\n")
         except OSError as error:
             raise OutputError(f"{self._kept}: cannot be written: {error.strerror or error}") from None
-
-    def _identity(self) -> dict[str, Any]:
-        """Return what the values depend on."""
-        over = {key: [row[key] for row in self.variations] for key in (self.variations or [{}])[0]}
-        return identity_of(self.scenario, over, self._engine) | {
-            "vary": [(each.name, each.low, each.high, each.log) for each in self.some],
-            "names": self.names, "over": self.variations,
-        }  # fmt: skip

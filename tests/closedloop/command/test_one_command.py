@@ -13,7 +13,7 @@ import pytest
 
 import closedloop as cl
 from closedloop.__main__ import main
-from closedloop.command.robots import names
+from closedloop.command.lists import names
 from closedloop.command.table import COMMANDS, overview
 from closedloop.control.law import LAWS, ControlLaw
 from closedloop.mechanics.loops import reactions
@@ -175,7 +175,7 @@ def test_american_spelling_and_names_of_other_programs(closedloop):
 def test_robots_are_listed_with_their_joints(closedloop, monkeypatch):
     """Each robot has a line, or the reason why not; one robot's joints, limits and frames are shown."""
     monkeypatch.setenv("COLUMNS", "80")
-    monkeypatch.setattr("closedloop.command.robots.names", lambda: ("planar2", "ur5", "cassie"))
+    monkeypatch.setattr("closedloop.command.lists.names", lambda: ("planar2", "ur5", "cassie"))
     status, out, err = closedloop("robots")
     assert (status, err) == (0, "")
     assert max(map(len, out.partition("not to be used")[0].splitlines())) <= 80

@@ -26,7 +26,7 @@ from closedloop.record.run import Run
 from closedloop.studies.comparison.recording import Recording, checked, read_recording
 from closedloop.studies.identify import motion
 from closedloop.studies.identify.contact import found as fits
-from closedloop.studies.identify.contact.found import Part, Sensor, Touch, unknown
+from closedloop.studies.identify.contact.found import Part, Touch, unknown
 from closedloop.studies.identify.identify import Estimate
 from closedloop.studies.identify.log import LogError, check_positions
 from closedloop.studies.identify.motion import white_noise
@@ -94,12 +94,8 @@ def impacts_of(time: Array, height: Array) -> list[Impact]:
                 side.append(_cubics(time[rows] - time[k], height[rows], sigma))
     most = [_longest(side) for side in sides]
     for at, k in enumerate(used):
-        one = _impact(
-            float(time[k]),
-            step,
-            [side[at][min(count, _own(side[at])) - 1] for side, count in zip(sides, most, strict=True)],
-        )
-        if one is not None:
+        fits = [side[at][min(count, _own(side[at])) - 1] for side, count in zip(sides, most, strict=True)]
+        if (one := _impact(float(time[k]), step, fits)) is not None:
             found.append(one)
     return found
 
@@ -376,7 +372,10 @@ def _beside_force(
     surface = fits.compliance_of(windows, sensor, z)
     if delay is None:
         late = [e for e in (*beside.estimates, *surface.estimates) if "delay" in e.name and not e.why]
-        _read_late(sensor, late, z)
+        if late:  # the sensor has their mean, each by its precision
+            precision = np.array([(2.0 * z / (e.high - e.low)) ** 2 if e.high > e.low else 1e30 for e in late])
+            mean = float(precision @ [e.value for e in late] / precision.sum())
+            sensor.read_late(mean, float(1.0 / np.sqrt(precision.sum())))
         if any(e.name == "sensor_delay" for e in late):  # which tells damping and delay apart
             own = [e for e in surface.estimates if e.name == "delay" and not e.why]
             surface = fits.compliance_of(windows, sensor, z)
@@ -417,14 +416,6 @@ def _allow_for_counts(
             elif not e.why:
                 why = "the counts of the encoders are too coarse for this motion: move farther, or faster"
                 part.estimates[at] = unknown(e.name, e.unit, why)
-
-
-def _read_late(sensor: Sensor, delays: Sequence[Estimate], z: float) -> None:
-    """Let the sensor have the mean of the delays that were found, each by its precision."""
-    if delays:
-        precision = np.array([(2.0 * z / (e.high - e.low)) ** 2 if e.high > e.low else 1e30 for e in delays])
-        mean = float(precision @ [e.value for e in delays] / precision.sum())
-        sensor.read_late(mean, float(1.0 / np.sqrt(precision.sum())))
 
 
 def contact_recording(run: Run, source: str = "the run") -> tuple[Recording, Array]:

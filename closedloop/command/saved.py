@@ -1,12 +1,14 @@
-"""A saved run: ``closedloop show run.nc`` prints its report, ``closedloop plot run.nc`` draws its figures.
+"""A saved run: ``closedloop show run.nc`` prints its report, ``plot`` draws its figures, ``export`` writes it anew.
 
 Nothing is simulated, and no module of a user is imported: a run with a law of one's own can be looked at anywhere.
 """
 
 import json
 from pathlib import Path
+from typing import Any
 
-from closedloop.base.errors import RunFileError
+from closedloop.base.errors import OutputError, RunFileError
+from closedloop.base.files import made_folder, what_was_written
 from closedloop.command.border import DONE, Parser, add_figure_options, as_command, drawn_as, formats_of
 
 
@@ -46,7 +48,6 @@ def plot(words: list[str]) -> int:
     run = load_run(options.run)
     if len(run) == 0:
         raise RunFileError(f"{options.run}: the run stopped before its first row: there is nothing to draw")
-    from closedloop.base.files import made_folder, what_was_written
     from closedloop.figures import columns, draw_figures
     from closedloop.figures.files import write_figure
 
@@ -61,6 +62,45 @@ def plot(words: list[str]) -> int:
             paths = [write_figure(figure, folder / f"fig_{'_'.join(names)}", formats)]
     also = f", each also as {' and '.join(formats[1:])}" if formats[1:] else ""
     print(what_was_written(*paths, folder=folder) + also)
+    return DONE
+
+
+@as_command()
+def export(words: list[str]) -> int:
+    """Run the command line of ``closedloop export`` and return the exit status."""
+    from closedloop.figures.export.files import FORMATS, write_rosbag2
+    from closedloop.figures.export.mjcf import write_mjcf
+    from closedloop.lab.animate import animate
+    from closedloop.lab.history import share
+    from closedloop.record.run import load_run
+    from closedloop.record.save import save_run
+
+    formats: dict[str, Any] = {ending.removeprefix("."): write for ending, write in FORMATS.items()} | {
+        "h5": lambda run, path: [save_run(run, path)], "rosbag2": write_rosbag2, "mjcf": write_mjcf,
+        "gif": lambda run, path: [animate(run, path)], "mp4": lambda run, path: [animate(run, path)],
+        "html": lambda run, path: [share(run, path)],
+    }  # fmt: skip
+    endings = {"mjcf": ".xml", "rosbag2": "_rosbag2"}  # where the format's name is not the ending
+    parser = Parser(
+        prog="closedloop export",
+        description="Write a run file in a format of other programs.",
+        cure="such as: closedloop export out/wam_slide/run.nc --to csv",
+    )
+    parser.add_argument("run", help="a run.nc")
+    parser.add_argument(
+        "--to", required=True, choices=tuple(formats),
+        help="csv, parquet: a table; mat: arrays for MATLAB; h5: HDF5; mcap, rosbag2: ROS 2 messages, as a file or a "
+        "bag; mjcf: the scene, for MuJoCo; gif, mp4: a film; html: a page with the arm in space",
+    )  # fmt: skip
+    parser.add_argument("--out", metavar="FILE", help="the file (default: beside run.nc, under its name)")
+    parser.add_argument("--overwrite", action="store_true", help="replace a file that is there")
+    options = parser.parse_args(words)
+    run = load_run(options.run)
+    beside = Path(options.run).with_suffix("")
+    out = Path(options.out or beside.with_name(beside.name + endings.get(options.to, f".{options.to}")))
+    if out.exists() and not options.overwrite:
+        raise OutputError(f"{out}: is there already; name another file with --out, or replace it with --overwrite")
+    print(what_was_written(*formats[options.to](run, out)))
     return DONE
 
 

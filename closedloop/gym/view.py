@@ -37,8 +37,12 @@ class Pictures:
         scene = scene_of(run_of(problem, row.copy(), core.ensemble.wanted[i][None].copy(), now.time[[i]].copy()))
         forces = [f"{name} = {force:.1f} N" for name, force in zip(*shown_forces(core, i), strict=True)]
         with rc_context(OWN):
-            if self._drawn.get(i, (None,))[0] is not problem:
-                self._drawn[i] = problem, _picture(problem, row)
+            if self._drawn.get(i, (None,))[0] is not problem:  # an episode begins; without a surface what is near
+                wanted = problem.table[:: problem.nodes, : 2 * problem.robot.n + 10]
+                wanted = wanted[:: max(1, len(wanted) // TRAIL)]
+                count = len(wanted)
+                first = scene_of(run_of(problem, np.repeat(row, count, axis=0), wanted, np.linspace(0.0, 1.0, count)))
+                self._drawn[i] = problem, Picture(first, None, None if first.ground.there else focus(first))
             picture = self._drawn[i][1]
             picture.scene = scene
             pixels = picture.pixels(0, "\n".join([f"t = {now.time[i]:.2f} s", *forces]))
@@ -47,15 +51,6 @@ class Pictures:
     def close(self) -> None:
         """Let the figures go."""
         self._drawn.clear()
-
-
-def _picture(problem: Problem, row: Array) -> Picture:
-    """Return the figure of an episode that begins with a recorded row (1, k); without a surface of what is near."""
-    wanted = problem.table[:: problem.nodes, : 2 * problem.robot.n + 10]
-    wanted = wanted[:: max(1, len(wanted) // TRAIL)]
-    run = run_of(problem, np.repeat(row, len(wanted), axis=0), wanted, np.linspace(0.0, 1.0, len(wanted)))
-    scene = scene_of(run)
-    return Picture(scene, None, None if scene.ground.there else focus(scene))
 
 
 class Browser:

@@ -120,18 +120,6 @@ class Map:
             values[self.x.control.key][self.x.control.index] = self.x.value(column)[self.x.control.index]
         return values
 
-    def _take(self, cells: list[tuple[int, int]], table: Any) -> None:
-        """Take over the values of some cells' runs."""
-        columns_read = (self.quantity, "status", "reason", "verdict", "control_verdict")
-        for cell, value, status, why, *verdicts in zip(
-            cells, *(table[name].to_pylist() for name in columns_read), strict=True
-        ):
-            self.grid[cell] = np.nan if value is None or status != "done" else value
-            good = all(str(verdict).startswith(GOOD) for verdict in verdicts)
-            self.state[cell] = 2.0 if status != "done" else 0.0 if good else 1.0
-            if status != "done":
-                self.reasons[cell] = str(why)
-
     def fill(self, stop: Callable[[], bool] = lambda: False, batch: int = BATCH) -> Iterator[int]:
         """Compute the map, and yield how many cells are done, again and again, until all are or `stop` says so."""
         order, done = coarse_first(*self.grid.shape), 0
@@ -142,10 +130,19 @@ class Map:
             points = [self.values(*cell) for cell in cells]
             columns = {key: [point[key] for point in points] for key in points[0]}
             try:
-                self._take(cells, simulate_batch(self.scenario, columns, model=self.model))
+                table = simulate_batch(self.scenario, columns, model=self.model)
             except ScenarioError as error:  # none of these runs could be read
                 for cell in cells:
                     self.state[cell], self.reasons[cell] = 2.0, one_line(str(error))
+            else:
+                read = (self.quantity, "status", "reason", "verdict", "control_verdict")
+                rows = zip(cells, *(table[name].to_pylist() for name in read), strict=True)
+                for cell, value, status, why, *verdicts in rows:
+                    self.grid[cell] = np.nan if value is None or status != "done" else value
+                    good = all(str(verdict).startswith(GOOD) for verdict in verdicts)
+                    self.state[cell] = 2.0 if status != "done" else 0.0 if good else 1.0
+                    if status != "done":
+                        self.reasons[cell] = str(why)
             done += len(cells)
             yield done
 

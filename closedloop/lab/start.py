@@ -284,12 +284,6 @@ def _analyse(lab: Lab, client: Client, said: Said) -> None:
         lab.details.ask(lab.answer)
 
 
-def _open(lab: Lab, client: Client, said: Said) -> None:
-    """Go over to another scenario that ships, and to no other file."""
-    if said.get("name") in shipped_scenarios():
-        lab.open(str(said["name"]))
-
-
 def _say(lab: Lab, line: str, loud: bool = False) -> None:
     lab.tell("status", _status(line, loud), keep=False)
 
@@ -301,7 +295,8 @@ def _status(line: str, loud: bool) -> Said:
 ACTIONS: dict[str, Callable[[Lab, Client, Said], None]] = {
     "set": _set, "type": _set, "reset": _reset, "undo": _step, "redo": _step, "begin again": _step,
     "pin": _pin, "unpin": _pin, "save": _write, "share": _write, "window": _choose, "columns": _choose,
-    "map": _map, "stop map": _map, "analyse": _analyse, "open": _open, "pull": _pull,
+    "map": _map, "stop map": _map, "analyse": _analyse, "pull": _pull,
+    "open": lambda lab, client, said: lab.open(str(said["name"])) if said.get("name") in shipped_scenarios() else None,
     "shown": lambda lab, client, said: client.drawn(),
     "point": lambda lab, client, said: lab.map.go(
         finite(said.get("u"), 0.5), finite(said.get("v"), 0.5), bool(said.get("last"))

@@ -13,7 +13,6 @@ import math
 import socket
 import time
 from collections import deque
-from collections.abc import Callable
 from contextlib import suppress
 from typing import Any
 
@@ -331,26 +330,17 @@ class Franka(Interface):
             pass
         for port, receive in ((arm, self._receive), (hand, self.gripper.receive)):
             if port.client is not None and port.client in ready:
-                self._guarded(port, receive)
-        if arm.client is None:
-            self._leave()
-        if hand.client is None:
-            self.gripper.leave()
-
-    def _guarded(self, port: Port, receive: Callable[[Client], None]) -> None:
-        try:
-            assert port.client is not None
-            receive(port.client)
-        except Gone as gone:
-            port.drop(str(gone))
-
-    def _leave(self) -> None:
-        """End what a client that is gone has begun."""
-        if self._to is not None:
+                try:
+                    receive(port.client)
+                except Gone as gone:
+                    port.drop(str(gone))
+        if arm.client is None and self._to is not None:  # what a client that is gone has begun ends
             self._to = None
             if self._move is not None:
                 self._set_idle()
                 self._stop_here()
+        if hand.client is None:
+            self.gripper.leave()
 
     def _take_command(self, udp: socket.socket) -> bool:
         """Read a datagram and keep it if it is a command that answers the present state; return whether there was one.

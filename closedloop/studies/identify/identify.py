@@ -284,9 +284,16 @@ def identify(
         y = motion(checked(test, model), cutoff)
         tested, part = np.zeros(len(x.time), dtype=bool), found
         judged, V, sure = y.torque, regressor.averaged(y)[:, :, base.kept], _counted(regressor, y)
+    estimates = []
+    for k, (value, half) in enumerate(zip(found.value.tolist(), (z * found.deviation).tolist(), strict=True)):
+        name, grouping, why = regressor.names[base.kept[k]], base.names[k], ""
+        if not found.told[k]:
+            value, half, why = np.nan, np.inf, _reason(k, found, base, regressor, used)
+        low, high = (value - half, value + half) if found.told[k] else (-np.inf, np.inf)
+        estimates.append(Estimate(name, value, low, high, regressor.unit(name), grouping, why))
     return Identification(
         model, regressor, base, found, x, used, tested,
-        tuple(_estimate(k, found, base, regressor, used, z) for k in range(len(base.kept))),
+        tuple(estimates),
         _relative(judged - V @ part.value, judged, sure), bias, method, confidence,
     )  # fmt: skip
 
@@ -356,17 +363,6 @@ def _pieces(R: int, share: float) -> NDArray[np.bool_]:
 def _relative(error: Array, torque: Array, used: NDArray[np.bool_]) -> Array:
     size = (torque**2 * used).sum(axis=0)
     return np.asarray(np.sqrt((error**2 * used).sum(axis=0) / np.where(size > 0.0, size, np.nan)))
-
-
-def _estimate(
-    k: int, found: Fit, base: BaseParameters, regressor: Regressor, used: NDArray[np.bool_], z: float
-) -> Estimate:
-    name = regressor.names[base.kept[k]]
-    unit, grouping = regressor.unit(name), base.names[k]
-    if not found.told[k]:
-        return Estimate(name, np.nan, -np.inf, np.inf, unit, grouping, _reason(k, found, base, regressor, used))
-    value, half = float(found.value[k]), z * float(found.deviation[k])
-    return Estimate(name, value, value - half, value + half, unit, grouping, "")
 
 
 def _reason(k: int, found: Fit, base: BaseParameters, regressor: Regressor, used: NDArray[np.bool_]) -> str:

@@ -233,8 +233,8 @@ def check_velocities(q: Array, v: Array, step: float, robot: RobotModel, where: 
         size = float(rate[:, joint] @ rate[:, joint])
         if np.ptp(q[:, joint]) < MOVES or size == 0.0:
             continue
-        share = np.array([float(rate[:, joint] @ mean[:, other]) for other in range(q.shape[1])]) / size
-        alike = np.array([_alike(rate[:, joint], mean[:, other]) for other in range(q.shape[1])])
+        products, sizes = rate[:, joint] @ mean, np.sqrt(size * (mean * mean).sum(axis=0))
+        share, alike = products / size, products / np.where(sizes > 0.0, sizes, np.inf)
         best = int(alike.argmax())
         if alike[joint] < 0.9 and best != joint and alike[best] > 0.95:
             raise LogError(
@@ -254,8 +254,3 @@ def check_velocities(q: Array, v: Array, step: float, robot: RobotModel, where: 
                 f"{where}: velocities of {name} are {share[joint]:.3g} times the rate of its positions: "
                 f"{near or 'one of them, or time, has another unit'}"
             )
-
-
-def _alike(x: Array, y: Array) -> float:
-    size = float(np.sqrt((x @ x) * (y @ y)))
-    return float(x @ y) / size if size > 0.0 else 0.0

@@ -239,9 +239,15 @@ def base_parameters(regressor: Regressor, seed: int = 0) -> BaseParameters:
     grouping[np.abs(grouping) < ROUNDING] = 0.0
     by_number = np.argsort(kept)
     kept, grouping = kept[by_number], grouping[by_number]
-    return BaseParameters(
-        kept, grouping, tuple(_name(row, k, regressor.names) for row, k in zip(grouping, kept, strict=True))
-    )
+    said = []
+    for row, own in zip(grouping, kept, strict=True):
+        terms = [regressor.names[own]]
+        for k in np.flatnonzero(row):
+            if k != own:
+                factor = "" if abs(abs(row[k]) - 1.0) < ROUNDING else f"{abs(row[k]):.4g} "
+                terms.append(f"{'-' if row[k] < 0 else '+'} {factor}{regressor.names[k]}")
+        said.append(" ".join(terms))
+    return BaseParameters(kept, grouping, tuple(said))
 
 
 def _preferred(regressor: Regressor, there: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -258,12 +264,3 @@ def _preferred(regressor: Regressor, there: NDArray[np.int64]) -> NDArray[np.int
         return (1, k)
 
     return np.array(sorted(map(int, there), key=rank))
-
-
-def _name(row: Array, kept: int, names: tuple[str, ...]) -> str:
-    terms = [names[kept]]
-    for k in np.flatnonzero(row):
-        if k != kept:
-            size = "" if abs(abs(row[k]) - 1.0) < ROUNDING else f"{abs(row[k]):.4g} "
-            terms.append(f"{'-' if row[k] < 0 else '+'} {size}{names[k]}")
-    return " ".join(terms)

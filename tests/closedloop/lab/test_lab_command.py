@@ -54,7 +54,7 @@ def test_a_lab_that_cannot_be_opened_is_one_line(words, said, capsys):
 
 def test_without_websockets_the_line_says_what_to_install(monkeypatch, capsys):
     """The extra is named."""
-    monkeypatch.setattr("closedloop.command.lab.find_spec", lambda name: None)
+    monkeypatch.setattr("closedloop.command.serve.find_spec", lambda name: None)
     assert main(["lab"]) == 2
     assert 'pip install "closedloop[lab]"' in capsys.readouterr().err
 

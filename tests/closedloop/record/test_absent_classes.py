@@ -7,8 +7,7 @@ import pytest
 
 import closedloop as cl
 from closedloop.base import families
-from closedloop.command.export import main as export
-from closedloop.command.saved import plot, show
+from closedloop.command.saved import export, plot, show
 
 # Of each family: module and class that ship, and keys beside `kind`.
 SHIPPED = {

@@ -9,7 +9,7 @@ import pinocchio as pin
 import pytest
 
 import closedloop as cl
-from closedloop.command.compare import main
+from closedloop.command.logs import compare as main
 from closedloop.studies.comparison.recording import (
     Hypothesis,
     Recording,

@@ -8,7 +8,7 @@ from identified import truth
 import closedloop as cl
 import robot_models
 from closedloop.base.errors import ModelError
-from closedloop.command.excite import main
+from closedloop.command.logs import excite as main
 from closedloop.studies.identify.excite import _Series
 from closedloop.studies.identify.log import Log
 from closedloop.studies.identify.regressor import Regressor, Terms

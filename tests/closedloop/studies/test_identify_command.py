@@ -12,7 +12,7 @@ from identified import simulated, true_base
 
 import closedloop as cl
 import robot_models
-from closedloop.command.identify import main
+from closedloop.command.logs import identify as main
 from closedloop.studies.identify.log import LogError
 from closedloop.studies.identify.read import log_of_run, read_log
 from closedloop.studies.identify.regressor import Regressor, Terms

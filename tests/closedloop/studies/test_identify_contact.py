@@ -11,7 +11,7 @@ from budget import budget
 import closedloop as cl
 import robot_models
 from closedloop.base.errors import ModelError
-from closedloop.command.identify import main
+from closedloop.command.logs import identify as main
 from closedloop.studies.identify.contact.found import _begin, _estimates, touch_of
 from closedloop.studies.identify.contact.identify_contact import impacts_of
 from closedloop.studies.identify.log import LogError

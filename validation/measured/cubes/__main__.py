@@ -14,7 +14,7 @@ import numpy as np
 from closedloop.base.errors import OutputError
 from closedloop.base.files import what_was_written, write_whole
 from closedloop.command.border import Parser, as_command
-from closedloop.command.lab import serve
+from closedloop.command.serve import wait_for
 from validation.measured.cubes.comparing import FITTED, engines, fit, fits, fitted, held_out, training, tried
 from validation.measured.cubes.engine import ClosedLoopCube
 from validation.measured.cubes.figures import film, opened, toss_of
@@ -64,7 +64,7 @@ def main(words: list[str]) -> int:
         number, path = options.film
         print(what_was_written(film(_toss(parser, "--film", number), Path(path))))
     if options.lab is not None:
-        serve(opened(_toss(parser, "--lab", options.lab)), browser=True)
+        wait_for(opened(_toss(parser, "--lab", options.lab)), browser=True)
     return 0
 
 

@@ -1,13 +1,19 @@
-"""The command ``closedloop identify LOG --robot NAME|FILE``: parameters of a robot from a log of its motion."""
+"""Logs: ``closedloop identify LOG --robot R`` finds parameters of a robot, ``compare LOG --scenario S`` sets one beside
+a run, ``excite --robot R`` designs the motion of one that identifies parameters best.
+
+Exit status: 0 done; 2 the input is at fault (one line on standard error); 3 the scenario's run stops before its end.
+"""
 
 from __future__ import annotations
 
 import argparse
+import json
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from closedloop.base.errors import ModelError, printable
-from closedloop.command.border import DONE, Parser, as_command
+from closedloop.base.errors import ModelError, needs, printable
+from closedloop.base.files import made_folder, what_was_written, write_whole
+from closedloop.command.border import DONE, Parser, as_command, parsed, print_outcome
 
 if TYPE_CHECKING:
     from robot_models import RobotModel
@@ -16,12 +22,11 @@ TERMS = ("viscous", "dry", "offset", "load", "stribeck", "drive_inertia")
 
 
 @as_command()
-def main(words: list[str]) -> int:
+def identify(words: list[str]) -> int:
     """Run the command line and return the exit status."""
-    options = _parser().parse_args(words)
+    options = _identify_parser().parse_args(words)
     import robot_models
-    from closedloop.base.files import made_folder, what_was_written
-    from closedloop.studies.identify.identify import identify
+    from closedloop.studies.identify import identify as study
     from closedloop.studies.identify.read import read_log
     from closedloop.studies.identify.written import report, write
 
@@ -38,7 +43,7 @@ def main(words: list[str]) -> int:
     if normal is not None:
         return _contact(options, robot, mapped, normal, gain, folder)
     logs = [read_log(path, robot, columns=mapped, degrees=options.degrees, gain=gain) for path in options.logs]
-    found = identify(
+    found = study.identify(
         logs, robot,
         friction=[term for term in terms if term not in ("drive_inertia", "stribeck")],
         drive_inertia="drive_inertia" in terms,
@@ -57,9 +62,6 @@ def _contact(
     gain: list[float] | None, folder: Path,
 ) -> int:  # fmt: skip
     """Identify the contact of the tip with a plane, from one log."""
-    import json
-
-    from closedloop.base.files import what_was_written, write_whole
     from closedloop.figures.files import write_figure
     from closedloop.studies.comparison.recording import read_recording
     from closedloop.studies.identify.contact.identify_contact import contact_recording, identify_contact
@@ -84,7 +86,7 @@ def _contact(
     return DONE
 
 
-def _parser() -> Parser:
+def _identify_parser() -> Parser:
     parser = Parser(
         prog="closedloop identify",
         description="Identify base inertial parameters, friction and drive inertia of a robot from a log: positions "
@@ -140,3 +142,111 @@ def _number(word: str, what: str) -> float:
         return float(word)
     except ValueError:
         raise ModelError(f"{what} {word!r}: must be a number") from None
+
+
+@as_command()
+def excite(words: list[str]) -> int:
+    """Run the command line and return the exit status."""
+    options = _excite_parser().parse_args(words)
+    from closedloop.studies.identify import excite as study
+
+    needs("pandas")  # which writes the motion, once it has been found
+    folder = made_folder(options.out)
+    found = study.excite(
+        options.robot, [name.strip() for name in options.target.split(",") if name.strip()],
+        duration=options.duration, harmonics=options.harmonics, rate=options.rate,
+        noise=_numbers(options.noise, "--noise"), acceleration=_numbers(options.acceleration, "--acceleration"),
+        share=options.share, seed=options.seed,
+    )  # fmt: skip
+    print("\n".join(map(printable, found.lines())))
+    write_whole(folder / "excitation.csv", found.to_pandas().to_csv(index=False).encode())
+    write_whole(folder / "report.txt", ("\n".join(found.lines()) + "\n").encode())
+    print("\n" + what_was_written("excitation.csv", "report.txt", folder=folder))
+    return DONE
+
+
+def _excite_parser() -> Parser:
+    parser = Parser(
+        prog="closedloop excite",
+        description="Design a motion of all joints, within their limits and from rest to rest, from whose log "
+        "parameters can be identified best, and print half of the 95 % interval of each base parameter.",
+        cure="such as: closedloop excite --robot ur10 --for dry_shoulder_pan_joint",
+    )
+    parser.add_argument("--robot", required=True, metavar="NAME|FILE", help="a robot, a URDF or an MJCF")
+    parser.add_argument("--for", dest="target", default="", metavar="P,...", help="base parameters (default: all)")
+    table = {
+        "--duration S": "duration of the motion, s (default: 10)",
+        "--harmonics N": "harmonics of its Fourier series (default: 5)",
+        "--rate HZ": "sampling rate of the log (default: 100)",
+        "--noise N,...": "noise of the torques, N m, one or one for each joint (default: a hundredth of the effort "
+        "limit)",
+        "--acceleration A,...": "largest acceleration, rad/s², one or one for each joint (default: top speed in "
+        "0.25 s)",
+    }
+    parser.options(table, duration=10.0, harmonics=5, rate=100.0)
+    parser.add_argument("--share", type=float, default=0.9, help="share of the limits that is used (default: 0.9)")
+    parser.add_argument("--seed", type=int, default=0, help="seed of the initial motions of the search")
+    parser.add_argument("--out", metavar="DIR", default="out/excite", help="where results go (default: out/excite)")
+    return parser
+
+
+def _numbers(text: str | None, what: str) -> list[float] | float | None:
+    """Read numbers with commas between."""
+    if text is None:
+        return None
+    try:
+        read = [float(word) for word in text.split(",")]
+    except ValueError:
+        raise ModelError(f"{what} {text!r}: must be a number, or one for each joint with commas between") from None
+    return read[0] if len(read) == 1 else read
+
+
+@as_command()
+def compare(words: list[str]) -> int:
+    """Run the command line and return the exit status."""
+    from closedloop.scenario.load import load_scenario
+
+    parser = Parser(
+        prog="closedloop compare",
+        description="Compare a log of a robot, or a saved run, with a scenario. The log is aligned in time. The output "
+        "has the differences of joints, torques and contact force, what explains them, and whether the log's force is "
+        "consistent with its own motion and torques. --SECTION.KEY VALUE changes the scenario.",
+        cure="such as: closedloop compare log.csv --scenario wam_slide",
+    )
+    parser.add_argument(
+        "log", metavar="LOG", help=".csv, .parquet, .nc, .mcap, rosbag2, or a run.nc; force or speed alone will do"
+    )
+    parser.add_argument("--scenario", required=True, help="a scenario that ships, or a .toml")
+    table = {
+        "--columns WHAT=NAME ...": "columns of time, q, torque ({} for the joint), force (one, or three with commas), "
+        "speed; repeat it",
+        "--degrees": "angles of the log are in degrees",
+        "--gain N": "factor of the log's torques, N m/A of currents",
+        "--shift S": "the instant of the log at which the run begins, s",
+        "--cutoff HZ": "cut-off of the filters in the audit of the force",
+        "--out DIR": "where comparison.json and comparison.svg go (default: nowhere)",
+        "--json": "print the comparison as JSON",
+    }
+    parser.options(table, columns=mapped, gain=float, shift=float, cutoff=float)
+    options, overrides = parsed(parser, words)
+    folder = made_folder(options.out) if options.out else None
+
+    from closedloop.simulation.prepare import load_model
+    from closedloop.studies.comparison.compare import compare_log
+    from closedloop.studies.comparison.recording import read_recording
+
+    scenario = load_scenario(options.scenario, overrides)
+    robot = load_model(scenario)
+    recording = read_recording(
+        options.log, robot, columns=dict(options.columns), degrees=options.degrees, gain=options.gain
+    )
+    found = compare_log(recording, scenario, shift=options.shift, cutoff=options.cutoff)
+    report = print_outcome(found, options.json)
+    if folder is not None:
+        from closedloop.figures.files import write_figure
+
+        write_whole(folder / "comparison.json", f"{report}\n".encode())
+        write_figure(found.figure(), folder / "comparison", (".svg",))
+        if not options.json:
+            print(what_was_written("comparison.json", "comparison.svg", folder=folder))
+    return DONE

@@ -84,11 +84,15 @@ def first_slide(robot: Robot, name: str, force: float | None = None) -> Scenario
             f"{robot.model.name} with the tip {robot.tip}: no joint with a drive moves it; another frame may work, "
             "see --tip"
         )
-    if left := _left_open(robot):
-        raise ScenarioError(
-            f"{robot.model.name}: its loops stay open by {left:.3g} m (rad) near the posture of its file; check where "
-            "the loop joints are on their links"
-        )
+    if robot.model.loops:
+        memory = loop_memory(robot)
+        posture = assembled(robot, memory, np.array(robot.model.loop_home))
+        left = float(np.max(np.abs(errors_at(robot, memory, posture, np.zeros(robot.n))[0])))
+        if left > START_OPEN:
+            raise ScenarioError(
+                f"{robot.model.name}: its loops stay open by {left:.3g} m (rad) near the posture of its file; check "
+                "where the loop joints are on their links"
+            )
     closed = cache(lambda q, normal: _closed(robot, np.array(q), normal))
     faults: Faults = {}
     runs = 0
@@ -119,16 +123,6 @@ def first_slide(robot: Robot, name: str, force: float | None = None) -> Scenario
         f"{robot.model.name} with the tip {robot.tip}: no start was found from which it presses on a surface; "
         f"at the best posture found: {faults[max(faults)]}; another frame may work, see --tip"
     )
-
-
-def _left_open(robot: Robot) -> float:
-    """Return by how much the loops of a robot stay open near its home, m (rad): zero if they close."""
-    if not robot.model.loops:
-        return 0.0
-    memory = loop_memory(robot)
-    posture = assembled(robot, memory, np.array(robot.model.loop_home))
-    left = float(np.max(np.abs(errors_at(robot, memory, posture, np.zeros(robot.n))[0])))
-    return left if left > START_OPEN else 0.0
 
 
 def _closed(robot: Robot, q: Array, normal: tuple[float, float, float]) -> tuple[Array, Array] | str:
@@ -231,7 +225,11 @@ def _judged(robot: Robot, normal: tuple[float, float, float], q: Array, first: b
         return MOBILITY, "no joint moves the tip: it lies on their axes, and tool.offset puts it elsewhere"
     if not mobility > LEAST_MOBILITY:
         return MOBILITY, "the tip hardly moves, neither up and down nor across a wall"
-    U, sizes, _ = np.linalg.svd(terms.jacobian @ _free_motions(robot, q), full_matrices=False)
+    basis = np.eye(robot.n)  # of the joint velocities that loops and couplings allow
+    if robot.model.loops:
+        _, sizes, motions = np.linalg.svd(loop_rows(robot, q[None], np.zeros((1, robot.n)))[0][0])
+        basis = motions[np.count_nonzero(sizes > 1e-9 * sizes[0]) :].T
+    U, sizes, _ = np.linalg.svd(terms.jacobian @ basis, full_matrices=False)
     rank = int(np.count_nonzero(sizes > 1e-6 * sizes[0]))
     dexterity = float(sizes[rank - 1] / sizes[0])
     directions = tuple(_directions(U[:, :rank], frame))
@@ -243,16 +241,6 @@ def _judged(robot: Robot, normal: tuple[float, float, float], q: Array, first: b
     lever = robot.views[3] @ robot.tip_offset  # from the last joint to the tip, base frame
     score *= (10.0 if first else 1.0) * (1.0 if length == 0.0 else 0.55 - 0.45 * float(lever @ frame[0]) / length)
     return Posture(q, score, normal, directions, np.array(terms.bias), A[0])
-
-
-def _free_motions(robot: Robot, q: Array) -> Array:
-    """Return an orthonormal basis (n, k) of the joint velocities that loops and couplings allow."""
-    if not robot.model.loops:
-        return np.eye(robot.n)
-    rows = loop_rows(robot, q[None], np.zeros((1, robot.n)))[0][0]
-    _, sizes, motions = np.linalg.svd(rows)
-    basis: Array = motions[np.count_nonzero(sizes > 1e-9 * sizes[0]) :].T
-    return basis
 
 
 def _pressing(robot: Robot, posture: Posture, force: float, faults: Faults) -> Posture | None:

@@ -142,11 +142,6 @@ def save(run: Run, command: str, parent: Path | None = None) -> list[Path]:
     return [write_whole(folder / "scenario.toml", text.encode()), run.save(folder / "run.nc")]
 
 
-def save_page(run: Run, command: str, parent: Path | None = None, ghosts: Sequence[Ghost] = ()) -> Path:
-    """Write the page of a run into a new folder, and return it; see `closedloop.lab.history`."""
-    return share(run, new_folder(run.scenario.name, parent) / "page.html", command, ghosts)
-
-
 # Changes of one key that follow each other so fast, s, are one step of undo.
 TOGETHER = 1.0
 # The file that `closedloop.lab.history.save` writes.
@@ -191,11 +186,13 @@ class History:
             self.changes = with_change(self.changes, each, its_value)
         return self.changes
 
-    def set_all(self, changes: Changes) -> Changes:
-        """Take over other changes, as one step, and return them."""
-        self.past, self.future, self._last_key = [*self.past[-MOST_STEPS:], self.changes], [], ""
-        self.changes = dict(changes)
-        return self.changes
+    def begin_again(self) -> bool:
+        """Take back all changes, as one step; return whether there were any."""
+        there = bool(self.changes)
+        if there:
+            self.past, self.future, self._last_key = [*self.past[-MOST_STEPS:], self.changes], [], ""
+            self.changes = {}
+        return there
 
     def undo(self) -> bool:
         """Go a step back; return whether there was one."""

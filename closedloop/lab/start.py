@@ -25,7 +25,7 @@ from closedloop.figures.scene.solids import Ghost
 from closedloop.lab.app import Lab
 from closedloop.lab.details import Details
 from closedloop.lab.drawn import pack
-from closedloop.lab.history import MOST_PINS, History, in_words, save, save_page
+from closedloop.lab.history import MOST_PINS, History, in_words, new_folder, save, share
 from closedloop.lab.mapping import MapWork
 from closedloop.lab.server import Client, finite, in_notebook
 from closedloop.record.run import Run, load_run
@@ -195,9 +195,7 @@ def _reset(lab: Lab, client: Client, said: Said) -> None:
 def _step(lab: Lab, client: Client, said: Said) -> None:
     """Undo, redo, or go back to where the scenario began."""
     history, word = lab.history, said["do"]
-    moved = history.undo() if word == "undo" else history.redo() if word == "redo" else bool(history.changes)
-    if word == "begin again" and moved:
-        history.set_all({})
+    moved = {"undo": history.undo, "redo": history.redo, "begin again": history.begin_again}[word]()
     if moved:
         lab.refresh()
         lab.ask()
@@ -228,7 +226,8 @@ def _write(lab: Lab, client: Client, said: Said) -> None:
     if said["do"] == "save":
         written = save(answer.run, command, lab.folder)
     else:
-        written = [save_page(answer.run, command, lab.folder, lab.ghosts)]
+        folder = new_folder(answer.run.scenario.name, lab.folder)
+        written = [share(answer.run, folder / "page.html", command, lab.ghosts)]
     _say(lab, what_was_written(*written))
 
 

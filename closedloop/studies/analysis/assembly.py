@@ -130,10 +130,7 @@ STEP_Q, STEP_V, STEP_FORCE, STEP_TORQUE = 1e-4, 1e-3, 1e-2, 1e-2
 
 
 class Reduced:
-    """The derivatives at an instant, by the coordinates that the closure leaves free, and by the inputs.
-
-    `free`: whether it may be in flight.
-    """
+    """The derivatives at an instant by the free coordinates and the inputs; `free`: whether it may be in flight."""
 
     def __init__(self, problem: Problem, instant: Instant, free: bool) -> None:
         self.problem, self.instant, self.n = problem, instant, problem.robot.n
@@ -636,9 +633,6 @@ def of_fixed_steps(problem: Problem, model: RobotModel | None = None, cache: Cac
 
 
 def loop_at(problem: Problem, instant: Instant, free: bool = False) -> LinearLoop:
-    """Return the loop of a problem at the state of an instant, which may be that of a run with other gains.
-
-    In flight there is only a loop of motion, which is returned if `free` says that it is meant.
-    """
+    """Return the loop at an instant, which may be of a run with other gains; with `free` in flight that of motion."""
     with without_event(instant.time):
         return assembled(Reduced(problem, instant, free))

@@ -92,7 +92,7 @@ def put_contacts(state: dict[str, Array], loop: Loop) -> None:
 class ClosedContacts:
     """The closed contacts of links in a loop's memory, while it is evaluated again and again.
 
-    `names`, tuple of str: of those that are closed.
+    `names`, `sizes`: of those that are closed; how many numbers `read` returns, by their names.
     """
 
     def __init__(self, problem: Problem, loop: Loop) -> None:
@@ -110,11 +110,7 @@ class ClosedContacts:
             rows += [] if memory.contacts.soft[i] != 0.0 else [3 * i]
             rows += [3 * i + 1, 3 * i + 2] if self._modes[i] == STUCK else []
         self._rows = np.array(rows, dtype=np.intp)
-
-    @property
-    def sizes(self) -> dict[str, int]:
-        """How many numbers `read` returns: rates of the rows that bind, and normal forces."""
-        return {"rates": self._rows.size, "presses": self._normals.size}
+        self.sizes = {"rates": self._rows.size, "presses": self._normals.size}
 
     def put_back(self) -> None:
         """Write the state again that the contacts had at first."""
@@ -294,10 +290,7 @@ class EventHere(Exception):
 
 @contextmanager
 def without_event(time: float) -> Iterator[None]:
-    """Say of an event at the state of an instant, s, that there is no linear loop.
-
-    Raises SimulationError in place of `EventHere`.
-    """
+    """Raise a SimulationError, that there is no linear loop, in place of the `EventHere` of an instant, s."""
     try:
         yield
     except EventHere:

@@ -172,10 +172,7 @@ def trial_line(trial: Trial) -> str:
 
 
 def page_of(study: Stability, limits: bool = True) -> Page:
-    """Return the page of a scenario's loop.
-
-    `limits`: whether the largest stable gains, stiffness and delay are solved for.
-    """
+    """Return the page of a loop; `limits`: whether the largest stable gains, stiffness and delay are solved for."""
     loop = study.base
     cuts = ["sensor", *(each.name for each in loop.inputs if each.name.startswith("torque["))]
     margins = {cut: loop.margins(cut) for cut in cuts}  # of joints without a drive nothing is fed back
@@ -220,10 +217,7 @@ def _limits_of(study: Stability) -> dict[str, Limit | str]:
 
 
 def _longest_delay(study: Stability) -> tuple[float, float]:
-    """Return the longest stable delay of the sensor among whole samples, s, and the longest that was tried.
-
-    It is infinite if all up to `MOST_DELAY` samples are stable.
-    """
+    """Return the longest stable delay in whole samples, s, infinite if all are, and the longest that was tried."""
     period = study.scenario.law.sample_period or study.scenario.time.step
     h = study.scenario.time.step
     start = round(study.scenario.sensor.delay / h)

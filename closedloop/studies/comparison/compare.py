@@ -449,10 +449,7 @@ def _at(time: Array, run: Run, name: str) -> Array:
 
 
 def _beside(time: Array, run: Run, robot: Robot) -> Array:
-    """Return the torques (N, n) that act in the run beside those of the drives and of the tip's force, N m.
-
-    Friction of joints, springs, stops, loads and other contacts, and the reactions of loops: H q̈ + C − Q − JᵀF.
-    """
+    """Return the torques (N, n) beside those of the drives and the tip's force, N m: H q̈ + C − Q − JᵀF."""
     found = np.empty_like(run.torque)
     for k, (q, v, a, torque, force) in enumerate(
         zip(run.q, run.v, run.acceleration, run.torque, run.tip_force, strict=True)

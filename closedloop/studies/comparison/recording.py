@@ -286,13 +286,14 @@ def read_recording(
                 )
             return checked(of_run(run, str(path)), robot)
     table = table_of(path)
-    force_names, speed_name = given.pop("force", None), given.pop("speed", None)
     time = time_of(table, given.get("time"), path)
     q, v = (joints_of(table, what, given, robot, path, degrees) for what in ("q", "v"))
     torque = joints_of(table, "torque", given, robot, path, currents=gain is not None)
     if q is not None:
         check_positions(q, robot, str(path))
-    force, speed = _force(table, force_names, path), _speed(table, speed_name, path)
+    forces = [[form.format(axis) for axis in axes] for form, axes in FORCES] + [[name] for name in FORCE]
+    force = _found(table, "force", forces, given.pop("force", None), path)
+    speed = _found(table, "speed", [[name] for name in SPEED], given.pop("speed", None), path)
     if q is None and force is None and speed is None:
         raise LogError(
             f"{path}: no columns for q of the joints {', '.join(robot.joint_names)}, for force or for speed: name "
@@ -301,29 +302,17 @@ def read_recording(
     return checked(Recording(time, q, None if torque is None else torque * factors, force, str(path), v, speed), robot)
 
 
-def _speed(table: dict[str, Array], asked: str | None, path: Path) -> Array | None:
-    """Return the column of the tip's speed, m/s, or None if there is none."""
-    for name in [asked] if asked else SPEED:
-        found = columns_named(table, [name], "speed", path)
-        if found is not None:
-            return found[0]
-    if asked:
-        raise LogError(f"{path}: --columns speed={asked}: no column {asked!r}; it has {listed(table)}")
-    return None
-
-
-def _force(table: dict[str, Array], asked: str | None, path: Path) -> Array | None:
-    """Return the columns of the force, N, (N,) or (N, 3), or None if there are none."""
-    usual = [[form.format(axis) for axis in axes] for form, axes in FORCES] + [[name] for name in FORCE]
-    named = [name.strip() for name in asked.split(",")] if asked else []
+def _found(table: dict[str, Array], what: str, usual: list[list[str]], asked: str | None, path: Path) -> Array | None:
+    """Return the columns of a quantity, SI units, (N,) or (N, 3), or None if there are none of its usual names."""
+    named = [name.strip() for name in asked.split(",")] if asked and what == "force" else [asked or ""]
     for names in [named] if asked else usual:
-        found = columns_named(table, names, "force", path) if len(names) in (1, 3) else None
+        found = columns_named(table, names, what, path) if len(names) in (1, 3) else None
         if found is not None:
             return found[0] if len(found) == 1 else np.stack(found, axis=1)
     if asked:
-        missing = next((name for name in named if columns_named(table, [name], "force", path) is None), None)
+        missing = next((name for name in named if columns_named(table, [name], what, path) is None), None)
         reason = f"no column {missing!r}" if missing else f"{len(named)} names: one, or three"
-        raise LogError(f"{path}: --columns force={asked}: {reason}; it has {listed(table)}")
+        raise LogError(f"{path}: --columns {what}={asked}: {reason}; it has {listed(table)}")
     return None
 
 

@@ -432,10 +432,7 @@ class _Reader:
             self._values = Values(duals.values(), run.model.n)
 
     def derivatives(self, lane: int, direction: Direction) -> list[Array | None]:
-        """Return the derivative of each output along a direction; None of one that they do not give.
-
-        The errors of those that follow from the columns are in `errors`.
-        """
+        """Return the derivative of each output along a direction, None where there is none; see `errors`, too."""
         columns = columns_of_rows(self._start.problem, self._duals.rows[..., lane], self._duals.table[..., lane])
         columns |= event_columns(self._duals.events[..., lane])
         columns["time"] = np.zeros_like(columns["time"])

@@ -65,10 +65,7 @@ def write_part(path: Path, content: memoryview) -> None:
 
 
 def read_part(path: Path) -> memoryview:
-    """Return the content of a part's file.
-
-    Raises OSError or ValueError if there is none, it is damaged, or it was written under another name.
-    """
+    """Return the content of a part's file; OSError or ValueError if there is none, or another, or damage."""
     named, name = unsealed(memoryview(path.read_bytes())), path.name.encode()
     if named is None or named[-len(name) :] != name:
         raise ValueError("is damaged, or another file")

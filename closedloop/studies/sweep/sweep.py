@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 from closedloop.base.arrays import number_at, number_of
 from closedloop.base.errors import ClusterError, OutputError, ScenarioError, missing_line
 from closedloop.record.columns.record import ALL_COLUMNS
+from closedloop.record.save import identity_of, members
 from closedloop.scenario.load import Variants, toml_value
 from closedloop.scenario.messages import takes_whole_numbers
 from closedloop.scenario.scenario import Scenario
@@ -37,7 +38,6 @@ from closedloop.simulation.cache import Cache
 from closedloop.simulation.engines.law_source import law_digest
 from closedloop.simulation.engines.loops import COMPILED
 from closedloop.simulation.simulate import check_engine
-from closedloop.studies.identity import identity_of, members
 from closedloop.studies.sweep import store
 from closedloop.studies.sweep.store import Job, Joined
 from robot_models.cached import cached_property

@@ -25,7 +25,7 @@ from closedloop.base.errors import ClosedLoopError, OutputError, ScenarioError
 from closedloop.mechanics.integrators import ADAPTIVE
 from closedloop.record.report.measures import JOINT_MEASURES, MEASURES
 from closedloop.record.report.verdict import SHAKEN
-from closedloop.record.save import difference
+from closedloop.record.save import difference, identity_of
 from closedloop.scenario.arm import robot_of
 from closedloop.scenario.load import Variants
 from closedloop.scenario.modes import unresolved_feedback
@@ -35,7 +35,6 @@ from closedloop.simulation.engines.loops import COMPILED, PINOCCHIO
 from closedloop.simulation.prepare import load_model
 from closedloop.studies.analysis.assembly import linearise
 from closedloop.studies.gradient.differences import Keys, indexed
-from closedloop.studies.identity import identity_of
 
 _ENTRY = re.compile(r"(.+?)\[(\d+)\]")
 _LIMIT = re.compile(r"\s*([\w@.]+)\s*(<=|>=)\s*(\S+)\s*")

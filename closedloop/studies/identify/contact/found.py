@@ -253,10 +253,7 @@ def one(W: Array, y: Array, used: Mask, Z: Array | None = None) -> Fit:
 def missed(
     W: Array, y: Array, used: Mask, Z: Array | None, extra: Mapping[str, Array], found: Fit, noise: float
 ) -> list[str]:
-    """Return the column of `extra` (R,) that a law lacks; or that its residual is not white, if none of them helps.
-
-    `noise` is the standard deviation that the residual has from the noise of the log.
-    """
+    """Return the column of `extra` (R,) a law lacks, or that its residual, of such a `noise`, is not white."""
     names = []
     for name, column in extra.items():
         wider = np.column_stack([W, column])

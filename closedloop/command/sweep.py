@@ -85,11 +85,11 @@ def _sweep(arguments: list[str]) -> int:
     scenario, design = sweep.scenario, sweep.design
     out = Path(options.out) if options.out else Path("out") / scenario.name / "sweep.parquet"
     began = clock.monotonic()
-    done: list[tuple[int, int]] = []
+    done: list[int] = []  # at first, and now
     with count("closedloop sweep", len(design)) as show:
 
         def progress(runs: int, total: int) -> None:
-            done.append((runs, total)) if not done else done.__setitem__(slice(1, None), [(runs, total)])
+            done[1:] = [runs]
             show(runs, total)
 
         result = run_sweep(
@@ -97,7 +97,7 @@ def _sweep(arguments: list[str]) -> int:
             overwrite=options.overwrite,
         )  # fmt: skip
     seconds = clock.monotonic() - began
-    runs = done[-1][0] - done[0][0] if done else 0
+    runs = done[-1] - done[0] if done else 0
     before = len(design) - runs
     columns = f" and {result.columns.name}" if result.columns else ""
     if runs:

@@ -119,7 +119,7 @@ def test_nothing_is_written_but_whole():
         "closedloop/base/files.py",
         "closedloop/jit/cache_folder.py",
         "closedloop/jit/inside/compile_cache.py",
-        "closedloop/studies/tune/evaluate.py",
+        "closedloop/studies/tune/tune.py",
     }  # a tuning's runs, a line for each: a line cut off is left out
     nothing = {
         "closedloop/base/second_process.py",

@@ -9,8 +9,8 @@ import pytest
 
 import closedloop as cl
 import robot_models
-from closedloop.studies.tune.evaluate import Runs, limit_of, varied
 from closedloop.studies.tune.search import MEAN, STEP, WORST, Search
+from closedloop.studies.tune.tune import Runs, limit_of, varied
 from tests.closedloop.linear_loops import mass_on_a_spring
 
 SHORT = {"time.duration": 1.0, "reference.stop": 1.0, "reference.start": 0.2}
@@ -283,20 +283,20 @@ def test_a_constraint_reads_either_way():
 
 def test_the_command_writes_the_scenario(tmp_path, capsys):
     """It prints the report, writes tuned.toml, which runs, and says by its status whether the constraints are met."""
-    from closedloop.command.tune import main
+    from closedloop.command.gains import tune
 
     words = ["wam_slide", "--time.duration", "0.6", "--reference.start", "0.1", "--reference.stop", "0.6",
              "--starts", "1", "--vary", "law.kd[3]=log:5:200", "--out", str(tmp_path / "out")]  # fmt: skip
-    assert main([*words, "--json"]) == 0
+    assert tune([*words, "--json"]) == 0
     report = json.loads(capsys.readouterr().out)
     assert report["feasible"]
     assert report["value"] < report["value_before"]
     scenario = cl.load_scenario(tmp_path / "out" / "tuned.toml")
     assert scenario.law.kd[3] == report["numbers"]["law.kd[3]"]
     assert (tmp_path / "out" / "tune.png").exists()
-    assert main([*words[:-2], "--subject-to", "peak_contact_force<=9"]) == 3
+    assert tune([*words[:-2], "--subject-to", "peak_contact_force<=9"]) == 3
     assert "peak_contact_force <= 9 cannot be met" in capsys.readouterr().out
-    assert main(["wam_slide"]) == 2
+    assert tune(["wam_slide"]) == 2
     assert "--vary law.kd=5:200" in capsys.readouterr().err
 
 

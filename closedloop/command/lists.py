@@ -1,19 +1,26 @@
-"""``closedloop robots``, ``scenarios`` and ``version``: lists, and one robot: what a scenario can name as robot.model.
+"""``closedloop robots``, ``scenarios`` and ``version``: lists, and one robot; ``completion``: what a shell completes.
 
-With --check: whether H, C, potential energy, the tip's Jacobian and the rows of loops of a robot are those of other
-programs on random states.
+``robots ROBOT --check``: whether H, C, potential energy, the tip's Jacobian and the rows of loops of a robot are those
+of other programs on random states.
+
+The script of ``eval "$(closedloop completion bash)"`` is made by shtab from the parsers of the commands and the schema
+of a scenario; nothing of Python runs while one types. It is to be made again after an update.
 """
 
 from __future__ import annotations
 
+import io
 import math
+from argparse import ArgumentParser
 from collections.abc import Mapping, Sequence
+from contextlib import redirect_stdout, suppress
+from inspect import unwrap
 from pkgutil import resolve_name
 from typing import TYPE_CHECKING
 
 from closedloop.base.errors import printable
-from closedloop.command.border import DONE, Parser, as_command
-from closedloop.command.table import ROBOT_CHECK
+from closedloop.command.border import DONE, Left, Parser, as_command
+from closedloop.command.table import COMMANDS, ROBOT_CHECK, imported
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -237,3 +244,54 @@ def version(words: list[str]) -> int:
     Parser(prog="closedloop version", description="Print the versions that a run depends on.").parse_args(words)
     print(versions().replace(", ", "\n"))
     return DONE
+
+
+@as_command()
+def completion(words: list[str]) -> int:
+    """Run the command line and return the exit status."""
+    parser = Parser(
+        prog="closedloop completion",
+        description="Print the completion script of a shell: commands, options, scenarios, robots and keys.",
+        epilog='Put into ~/.bashrc, ~/.zshrc: eval "$(closedloop completion bash)", or zsh; '
+        "for fish: closedloop completion fish > ~/.config/fish/completions/closedloop.fish",
+    )
+    parser.add_argument("shell", choices=("bash", "zsh", "fish"))
+    shell = parser.parse_args(words).shell
+    import shtab
+
+    print(shtab.complete(all_commands(), shell))
+    return DONE
+
+
+def all_commands() -> ArgumentParser:
+    """Return a parser of all commands with the words that may follow each option."""
+    import shtab
+
+    from closedloop.scenario.load import shipped_scenarios
+    from closedloop.scenario.messages import all_keys, choices, sections
+    from closedloop.scenario.tables import table_type
+
+    keys, robots = all_keys(), list(names())
+    keys = [key for key in keys if not table_type(key.partition(".")[0])]
+    known = {"scenario": shipped_scenarios(), "explain": keys, "help": list(sections())}
+    known |= dict.fromkeys(("robot", "robots"), robots)
+    whole = ArgumentParser(prog="closedloop")
+    commands = whole.add_subparsers()
+    for command in COMMANDS:
+        found = None
+        with suppress(ImportError), redirect_stdout(io.StringIO()):  # it may not be installed
+            try:
+                unwrap(imported(command))(["--help"])
+            except Left as left:
+                found = left.args[0]
+        if found is None:
+            continue
+        parser = commands.add_parser(command.name, help=command.help, parents=[found], add_help=False)
+        for action in parser._actions:
+            if action.choices is None and action.dest in known:
+                action.choices = known[action.dest]
+            elif action.choices is None and action.nargs != 0:
+                action.complete = shtab.FILE  # type: ignore[attr-defined]
+        for key in keys if command.takes == "scenario" else ():
+            parser.add_argument(f"--{key}", choices=robots if key == "robot.model" else choices(key) or None)
+    return whole

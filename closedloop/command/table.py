@@ -40,7 +40,7 @@ COMMANDS = (
     Command("serve", "let another program drive a scenario", "closedloop.command.serve:main", "scenario"),
     Command("export", "write a saved run as CSV, MCAP, GIF ...", "closedloop.command.saved:export", "run"),
     Command("compile", "compile everything now, for images and clusters", "closedloop.command.compile_all:main"),
-    Command("completion", "print the completion script of a shell", "closedloop.command.completion:main"),
+    Command("completion", "print the completion script of a shell", "closedloop.command.lists:completion"),
     Command("version", "print the versions that a run depends on", "closedloop.command.lists:version"),
 )
 

@@ -123,12 +123,10 @@ class Details:
         lab.wait_for_plots(GIVE_WAY)
         if run is None or answer is not lab.answer:
             return
-        line = (
-            ""
-            if lab.answers.law is None
-            else "a law that is a function is not linearised: make it a class of ControlLaw"
-        )
-        if not line:
+        line = ""
+        if lab.answers.law is not None:
+            line = "a law that is a function is not linearised: make it a class of ControlLaw"
+        else:
             try:
                 end = run.scenario.time.duration
                 at = 0.5 * end if self.at is None else min(self.at, end)

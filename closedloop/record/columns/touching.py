@@ -136,8 +136,7 @@ def contact_torques(
         links.
     """
 
-    contacts, n = contacts_of(scenario, mechanism), mechanism.nv
-    torques = np.zeros((len(q), n))
+    contacts, torques = contacts_of(scenario, mechanism), np.zeros((len(q), mechanism.nv))
     frames = sorted({frame for each in contacts for frame in (each.point_frame, each.plane_frame)} - {0})
     axes, origins, jacobians = frames_in_rows(mechanism, np.ascontiguousarray(q), frames)
     carried = (forces, frictions, rolling, pivoting)
@@ -220,11 +219,8 @@ def contacts_of(scenario: Scenario, mechanism: Any) -> tuple[Touching, ...]:
         joint, rotation, origin = placed_frame(mechanism, section.link)
         other, turned, place = placed_frame(mechanism, section.against)
         surface = surface_of(section, name)
-        axes = (
-            np.eye(3)
-            if surface is not None or section.edge is not None or section.box is not None
-            else contact_frame(unit(section.normal, "normal"))
-        )
+        plane = surface is None and section.edge is None and section.box is None
+        axes = contact_frame(unit(section.normal, "normal")) if plane else np.eye(3)
         at, shape = origin + rotation @ np.array(section.point), shape_of(section, rotation)
         edge, box = None, None
         if section.box is not None:

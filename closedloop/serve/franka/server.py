@@ -299,9 +299,7 @@ class Franka(Interface):
             self._advance(self._hold())
             return
         self._recent.append(command is not None)
-        if (
-            command is not None or self.session.cycles > self._cycles_before
-        ):  # before the first command there is nothing to lose
+        if command is not None or self.session.cycles > self._cycles_before:  # before the first there is none to lose
             self.session.cycles += 1
             self._lost = 0 if command is not None else self._lost + 1
             self.session.lost += command is None
@@ -502,15 +500,14 @@ class Franka(Interface):
             torque = self._torque + self.arm.gravity(self._q)
             if generator == wire.NO_GENERATOR:
                 motion.q, motion.dq = self._q, self._v
-        elif self._controller == wire.JOINT_IMPEDANCE:
-            torque = self.springs.at_joints(self._q, self._v, motion.q, motion.dq)
-            self._torque = torque - self.arm.gravity(self._q)
-        else:
-            T_d = motion.wanted_pose(generator)
-            torque = self.springs.at_end_effector(self._q, self._v, motion.q, motion.dq, T_d)
-            self._torque = torque - self.arm.gravity(self._q)
-        if self._controller == wire.EXTERNAL:
             errors |= self.reflexes.of_torque(self._torque, before if self.limits and not first else None)
+        else:
+            if self._controller == wire.JOINT_IMPEDANCE:
+                torque = self._hold()
+            else:
+                T_d = motion.wanted_pose(generator)
+                torque = self.springs.at_end_effector(self._q, self._v, motion.q, motion.dq, T_d)
+            self._torque = torque - self.arm.gravity(self._q)
         if errors:
             self._end(wire.MOVE_REFLEX, errors)
             return

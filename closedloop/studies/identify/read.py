@@ -14,7 +14,6 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from functools import cache
 from importlib.util import find_spec
-from operator import itemgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -132,15 +131,13 @@ def _rows(file: Path, kinds: Sequence[str], done: Done) -> list[tuple[str, str, 
             if not re.match(r"CREATE TABLE\b(?!.*\bAS\s*\()", tables.get(name) or "", re.IGNORECASE | re.DOTALL):
                 raise LogError(f"{file}: has no table {name} as rosbag2 writes it")
         marks = ", ".join("?" * len(kinds))
-        found = connection.execute(f"SELECT id, name, type FROM topics WHERE type IN ({marks})", kinds)
-        topics = {number: (name, kind) for number, name, kind in found}
-        rows = []
-        for number, (name, kind) in topics.items():
-            asked = "SELECT timestamp, data FROM messages WHERE topic_id = ?"
-            rows += [(stamp, name, kind, data) for stamp, data in connection.execute(asked, (number,))]
+        asked = (
+            "SELECT topics.name, topics.type, messages.data FROM messages JOIN topics ON messages.topic_id = topics.id "
+            f"WHERE topics.type IN ({marks}) ORDER BY messages.timestamp, messages.rowid"
+        )
+        return connection.execute(asked, kinds).fetchall()
     finally:
         connection.close()
-    return [row[1:] for row in sorted(rows, key=itemgetter(0))]
 
 
 # What columns are called in logs, in the order in which the names are tried.

@@ -159,18 +159,17 @@ def sweep_plot(
     OutputError
         If the picture cannot be written.
     """
-    if ax is not None:
-        if out is not None:
-            raise ScenarioError("out: cannot be given with ax: save the figure that the axes are of")
-        with styled():
-            return draw_maps(_read(Path(table)) if isinstance(table, (str, Path)) else table, of, x, y, ax)
-    if out is None:
+    if ax is not None and out is not None:
+        raise ScenarioError("out: cannot be given with ax: save the figure that the axes are of")
+    if ax is None and out is None:
         if not isinstance(table, (str, Path)) or not Path(table).name:
             raise ScenarioError("out: name the picture's file, such as out='maps.png'")
         out = Path(table).with_suffix(".png")
     found = _read(Path(table)) if isinstance(table, (str, Path)) else table
     with styled():
-        figure, picture = draw_maps(found, of, x, y), io.BytesIO()
+        figure, picture = draw_maps(found, of, x, y, ax), io.BytesIO()
+        if out is None:
+            return figure
         try:
             figure.savefig(picture, format=Path(out).suffix.removeprefix(".") or None)
             Path(out).parent.mkdir(parents=True, exist_ok=True)
@@ -287,11 +286,9 @@ def _curves(axes: Axes, table: pa.Table, key: str, name: str, others: Sequence[s
     values, title, unit = column_values(table, name)
     other = Scale(table, others[0]) if len(others) == 1 else None
     few = other is not None and other.values.size <= MOST_CURVES
-    groups = (
-        [(other.at == value, value) for value in other.values]
-        if other is not None and few
-        else [(scale.at == scale.at, 0)]
-    )
+    groups = [(scale.at == scale.at, 0)]
+    if other is not None and few:
+        groups = [(other.at == value, value) for value in other.values]
     joined = few or not others
     styles = ("-", "--", ":")
     for k, (mine, value) in enumerate(groups):

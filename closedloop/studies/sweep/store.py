@@ -257,15 +257,8 @@ class Store:
             if self.read(part)["run"].to_pylist() != list(runs):
                 return False
             return not keep or (self.columns_of(part).is_file() and self.read_columns(part).keys() == set(keep))
-        except (
-            OSError,
-            ValueError,
-            EOFError,
-            KeyError,
-            zipfile.BadZipFile,
-            pa.ArrowException,
-        ):  # a disk lost its power
-            return False
+        except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile, pa.ArrowException):
+            return False  # as of a disk that lost its power
 
     def read(self, part: int) -> pa.Table:
         """Return the rows of a part."""

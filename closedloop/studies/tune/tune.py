@@ -391,12 +391,8 @@ class Tuning:
             worst = float(np.max(self.found.violations[:, k]))
             if worst > -BINDS:
                 gain = float(self.found.multipliers[:, k].sum()) / (abs(limit.limit) or 1.0)
-                effect = (
-                    f"if its bound is relaxed by 1, {name} falls by {gain:.3g}"
-                    if gain
-                    else f"{name} does not depend on it"
-                )
-                lines.append(f"{limit} is active: {effect}")
+                effect = f"if its bound is relaxed by 1, {name} falls by {gain:.3g}"
+                lines.append(f"{limit} is active: {effect if gain else f'{name} does not depend on it'}")
         for i, each in enumerate(self.vary):
             for end in (each.low, each.high):
                 if self.numbers[i] == end:

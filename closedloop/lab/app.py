@@ -212,11 +212,9 @@ def cards() -> list[Message]:
 def picture(name: str) -> bytes:
     """Return the message of a scenario's picture, empty if it cannot be drawn."""
     scenario = load_scenario(name)
-    step = scenario.time.step
     try:
-        few = scenario.time.model_copy(update={"duration": STEPS * step})
-        run = simulate(scenario.model_copy(update={"time": few}))
-        scene = scene_of(run)
+        few = scenario.time.model_copy(update={"duration": STEPS * scenario.time.step})
+        scene = scene_of(simulate(scenario.model_copy(update={"time": few})))
         space = space_message(scene, [0])
     except (ClosedLoopError, ValueError):
         return b""

@@ -264,8 +264,8 @@ def _of_field(key: str, field: FieldInfo, value: Any, scenario: Scenario, model:
         if model is not None and key == "start.q":
             of_joints, types = model.coordinate_names, model.coordinate_types
         by_joint = len(of_joints) == len(value) and key.partition(".")[0] not in NO_JOINTS
-        joints = of_joints if by_joint else ()
-        entries = joints or (("x", "y", "z") if len(value) == 3 else tuple(map(str, range(len(value)))))
+        counted = ("x", "y", "z") if len(value) == 3 else tuple(map(str, range(len(value))))
+        entries = of_joints if by_joint else counted
         of_law = model is not None and by_joint and key.startswith("law.")
         drives = model.driven.tolist() if model is not None and of_law else [True] * len(value)
         known = {"prismatic": SLIDING.get(unit, unit), "quaternion": "1"}

@@ -54,10 +54,8 @@ def span(
         return _linear(-1.0, 1.0)
     if key.startswith("start.q") and model is not None and not model.balls and index is not None and index < model.n:
         low, high = float(model.position_lower[index]), float(model.position_upper[index])
-        least, most = (
-            (low if math.isfinite(low) else value - math.pi),
-            (high if math.isfinite(high) else value + math.pi),
-        )
+        least = low if math.isfinite(low) else value - math.pi
+        most = high if math.isfinite(high) else value + math.pi
         return _linear(min(least, value), max(most, value))
     if least >= 0.0 and value > 0.0 and unit not in ("", "N") and not _is_instant(key, unit):
         there = sizes(Annotated[field.annotation, *field.metadata, None])
@@ -153,12 +151,8 @@ def values(run: Run, summary: Mapping[str, Any]) -> dict[str, float | None]:
     found["peak_force_error"] = float(np.max(off)) if off.size and run.scenario.has_surface else None
     limits = run.model.effort_limit
     limited = np.flatnonzero(np.isfinite(limits) & (limits > 0.0) & run.model.driven)
-    shares = [
-        summary["joints"][run.model.joint_names[j]]["max_joint_torque"] / limits[j]
-        for j in limited
-        if summary["joints"][run.model.joint_names[j]]["max_joint_torque"] is not None
-    ]
-    found["torque_share"] = max(shares, default=None)
+    largest = [(summary["joints"][run.model.joint_names[j]]["max_joint_torque"], limits[j]) for j in limited]
+    found["torque_share"] = max((torque / limit for torque, limit in largest if torque is not None), default=None)
     return found
 
 
@@ -166,11 +160,8 @@ def tiles(
     run: Run, summary: Mapping[str, Any], before: Mapping[str, float | None] | None = None, name: str = ""
 ) -> list[Tile]:
     """Return the tiles of a run; `before` are the `values` of another, which is called `name`."""
-    numbers, control = values(run, summary), summary["control_verdict"]
-    found = [
-        _verdict("numbers", summary["verdict"]["problems"], names_of(summary["verdict"]["problems"]),
-                 "whether the numbers of this run can be trusted"),
-    ]  # fmt: skip
+    numbers, control, problems = values(run, summary), summary["control_verdict"], summary["verdict"]["problems"]
+    found = [_verdict("numbers", problems, names_of(problems), "whether the numbers of this run can be trusted")]
     if run.scenario.has_law or control["problems"]:  # without a law nothing is commanded
         why = "whether the arm did what was commanded"
         found.append(_verdict("control", control["problems"], told(summary), why))
@@ -185,10 +176,8 @@ def tiles(
         found.append(tile | _change(number, None if before is None else before.get(key), less, factor, name))
     if passing := passing_note(summary["clearance"]):
         near = summary["clearance"]
-        found.append(
-            {"name": "clearance", "text": f"{1e3 * near['distance']:.3g}", "unit": "mm", "hint": passing,
-             "good": False, "at": near["time"], "why": passing}
-        )  # fmt: skip
+        tile = _tile("clearance", 1e3 * near["distance"], "mm", passing)
+        found.append(tile | {"good": False, "at": near["time"], "why": passing})
     return found
 
 
@@ -320,15 +309,11 @@ def main_panel(run: Run) -> Panel:
 
 def _force(run: Run) -> Panel:
     """Return f beside f_des and its settling band, and what the sensor says where that differs from f."""
-    measured = () if np.array_equal(run.measured_force, run.contact_force) else (
-        Trace("measured", COLOURS[1], run.measured_force),
-    )  # fmt: skip
-    traces = (
-        *measured,
-        Trace("f", COLOURS[0], run.contact_force),
-        Trace("commanded", COLOURS[2], run.reference_force, limit=True),
-    )
-    return Panel("force", "N", run.time, traces, SETTLED * _largest(run.reference_force))
+    wanted = Trace("commanded", COLOURS[2], run.reference_force, limit=True)
+    traces = [Trace("f", COLOURS[0], run.contact_force), wanted]
+    if not np.array_equal(run.measured_force, run.contact_force):
+        traces.insert(0, Trace("measured", COLOURS[1], run.measured_force))
+    return Panel("force", "N", run.time, tuple(traces), SETTLED * _largest(run.reference_force))
 
 
 def _links(run: Run) -> Panel:
@@ -336,11 +321,9 @@ def _links(run: Run) -> Panel:
     traces: list[Trace] = []
     each, summed = contacts_drawn(run)
     for k, drawn in enumerate(each):
-        colour, friction = COLOURS[k % len(COLOURS)], f"{drawn.name}, friction"
-        traces += [
-            Trace(drawn.name, colour, drawn.force(run)),
-            Trace(friction, colour, drawn.friction(run), limit=True),
-        ]
+        colour = COLOURS[k % len(COLOURS)]
+        traces.append(Trace(drawn.name, colour, drawn.force(run)))
+        traces.append(Trace(f"{drawn.name}, friction", colour, drawn.friction(run), limit=True))
     return Panel("links", "N", run.time, tuple(traces), note=summed)
 
 

@@ -245,10 +245,9 @@ def in_words(scenario: Scenario) -> tuple[str, Changes]:
         begun = load_scenario(scenario.name).model_dump(mode="python")
         for section, keys in own.items():
             other = begun.get(section)
-            if isinstance(keys, dict) and isinstance(other, dict) and keys.get("kind") == other.get("kind"):
-                given |= {f"{section}.{key}": value for key, value in keys.items() if value != other.get(key)}
-            elif isinstance(keys, dict):
-                given |= {f"{section}.{key}": value for key, value in keys.items() if value is not None}
+            if isinstance(keys, dict):
+                known = other if isinstance(other, dict) and keys.get("kind") == other.get("kind") else {}
+                given |= {f"{section}.{key}": value for key, value in keys.items() if value != known.get(key)}
         if load_scenario(scenario.name, given) == scenario:
             return scenario.name, given
     except ScenarioError:

@@ -115,10 +115,14 @@ class Map:
 
     def values(self, row: int, column: int) -> dict[str, Any]:
         """Return the values of both keys in a cell."""
-        values = {self.x.control.key: self.x.value(column), self.y.control.key: self.y.value(row)}
-        if self.x.control.key == self.y.control.key and self.x.control.index is not None:  # two entries of one list
-            values[self.x.control.key][self.x.control.index] = self.x.value(column)[self.x.control.index]
-        return values
+        return self.both(self.x.value(column), self.y.value(row))
+
+    def both(self, x: Any, y: Any) -> dict[str, Any]:
+        """Return the values of both keys, given what either is on its own: two entries of one list are in one."""
+        one, other = self.x.control, self.y.control
+        if one.key == other.key and one.index is not None:
+            y[one.index] = x[one.index]
+        return {one.key: x} | {other.key: y}
 
     def fill(self, stop: Callable[[], bool] = lambda: False, batch: int = BATCH) -> Iterator[int]:
         """Compute the map, and yield how many cells are done, again and again, until all are or `stop` says so."""
@@ -261,9 +265,8 @@ class MapWork:
 
     def _wait_for_compiler(self) -> None:
         """Say what the first map waits for, and begin it when that is there."""
-        what = (
-            f"The code for eight runs at a time is not compiled yet (some {seconds_to_compile([run_in_lanes]):.0f} s)"
-        )
+        seconds = seconds_to_compile([run_in_lanes])
+        what = f"The code for eight runs at a time is not compiled yet (some {seconds:.0f} s)"
         if refused():
             self._say(f"{what}: press compute, then it is compiled first.")
         else:
@@ -306,14 +309,8 @@ class MapWork:
         lab, found = self._lab, self.map
         if found is None:
             return
-        value: dict[str, Any] = {}
-        for axis, share in ((found.x, u), (found.y, v)):
-            key, own = axis.control.key, axis.at(share)
-            if axis.control.index is not None and key in value:  # two entries of one list
-                value[key][axis.control.index] = own[axis.control.index]
-            else:
-                value[key] = own
-        lab.history.change("map", None, value)  # under one name: a drag is one step of undo
+        values = found.both(found.x.at(u), found.y.at(v))
+        lab.history.change("map", None, values)  # under one name: a drag is one step of undo
         lab.ask(found.x.control.key)
         if last:
             lab.refresh()
@@ -380,7 +377,7 @@ class MapWork:
 
         def stopped() -> bool:
             late = by_itself and clock.perf_counter() - began > AT_MOST
-            return late or self._stop.is_set() or self._work.overtaken
+            return late or self._stopped()
 
         try:
             for done in wanted.fill(stopped, FEW_RUNS if by_itself else BATCH):
@@ -398,6 +395,9 @@ class MapWork:
         finally:
             self._by_itself = False
 
+    def _stopped(self) -> bool:
+        return self._stop.is_set() or self._work.overtaken
+
     def _send(self, found: Map, line: str, complete: bool) -> None:
         measure = MEASURES[found.quantity]
         unit = "" if measure.units == "1" else typeset(measure.units)
@@ -411,15 +411,9 @@ class MapWork:
 
     def _boundary(self, found: Map) -> None:
         """Send the boundary of stability, where the loop can be analysed and the keys are not entries of one list."""
-        if found.x.control.key == found.y.control.key:
+        if found.x.control.key == found.y.control.key or self._stopped():
             return
-
-        def stopped() -> bool:
-            return self._stop.is_set() or self._work.overtaken
-
         try:
-            if stopped():
-                return
             study = Stability(found.scenario, model=found.model)
             ranges = []
             for axis in (found.y, found.x):
@@ -427,11 +421,10 @@ class MapWork:
                 held = () if control.index is None else tuple(control.value)
                 index = None if axis.together else control.index
                 ranges.append(Range(control.key, *ends, control.form == "log", held, index))
-            over, along = ranges
-            limits = study.boundary(over, along, POINTS, FINE, stopped)
+            limits = study.boundary(*ranges, POINTS, FINE, self._stopped)
         except (ClosedLoopError, ArithmeticError, ValueError):
             return
-        if stopped():
+        if self._stopped():
             return
         if not limits:
             self._say(

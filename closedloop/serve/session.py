@@ -15,7 +15,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import suppress
+from contextlib import ExitStack, closing, suppress
 from typing import Any, ClassVar, NamedTuple
 
 from closedloop.base.errors import OutputError, printable
@@ -317,15 +317,9 @@ class Interface:
     ) -> None:
         self.session, self.lock_step, self.limits, self.say = session, lock_step, limits, say
         wanted = self.numbers if port is None else tuple(port + k if port else 0 for k in range(len(self.numbers)))
-        opened: list[Port] = []
-        try:
-            for number in wanted:
-                opened.append(Port(host, number, say))
-        except BaseException:
-            for each in opened:
-                each.close()
-            raise
-        self.ports = tuple(opened)
+        with ExitStack() as opened:
+            self.ports = tuple(opened.enter_context(closing(Port(host, number, say))) for number in wanted)
+            opened.pop_all()  # they stay open
         self.waiting = Ports(*self.ports)
         try:
             self.prepare(host)

@@ -64,8 +64,7 @@ class Comparison:
         keys = columns[columns.index("scenario") + 1 : columns.index("status")]
         said = []
         for key in keys:
-            words = [f"{x:.6g}" if isinstance(x, float) else str(x) for x in self.runs[key]]
-            words = list(dict.fromkeys(words))
+            words = list(dict.fromkeys(f"{x:.6g}" if isinstance(x, float) else str(x) for x in self.runs[key]))
             if len(words) > NAMED:
                 words = [", ".join(words[:2]) + f" ... {words[-1]} ({len(words)} values)"]
             said.append(f"{key} = {', '.join(words)}")
@@ -200,9 +199,8 @@ def shift_of(clock: Array, recording: Recording, run: Run) -> tuple[float, str]:
         spread = simulated.std(axis=0)
         moves = (spread > STILL) & (logged.std(axis=0) > STILL)
         if moves.any():
-            return _best_shift(
-                clock, logged[:, moves] / spread[moves], run.time, simulated[:, moves] / spread[moves]
-            ), name
+            logged, simulated = (x[:, moves] / spread[moves] for x in (logged, simulated))
+            return _best_shift(clock, logged, run.time, simulated), name
     return 0.0, ""
 
 

@@ -76,11 +76,10 @@ def explain(residual: Array, hypotheses: Sequence[Hypothesis], size: float = 0.0
     if whole <= len(residual) * (NOTHING * size) ** 2:
         return []
     alone = {h.name: 1.0 - _left(residual, [h]) / whole for h in hypotheses}
-    chosen: list[Hypothesis] = []
-    lefts: list[float] = []
-    others: list[tuple[str, ...]] = []
+    steps: list[tuple[Hypothesis, float, tuple[str, ...]]] = []  # what explains, what it leaves, what does so as well
     left = whole
-    while len(chosen) < MOST:
+    while len(steps) < MOST:
+        chosen = [h for h, *_ in steps]
         rest = {h.name: _left(residual, [*chosen, h]) for h in hypotheses if h not in chosen}
         if not rest:
             break
@@ -88,20 +87,16 @@ def explain(residual: Array, hypotheses: Sequence[Hypothesis], size: float = 0.0
         if left - rest[best] < max(ENOUGH * left, OF_ALL * whole):
             break
         gained, left = left - rest[best], rest[best]
-        others.append(tuple(name for name in rest if name != best and rest[name] - left < AS_WELL * gained))
-        chosen.append(next(h for h in hypotheses if h.name == best))
-        lefts.append(left / whole)
-    if not chosen:
+        equal = tuple(name for name in rest if name != best and rest[name] - left < AS_WELL * gained)
+        steps.append((next(h for h in hypotheses if h.name == best), left / whole, equal))
+    if not steps:
         return []
-    value, half = _fitted(residual, chosen)
-    reasons, at = [], 0
-    for h, still, equal in zip(chosen, lefts, others, strict=True):
-        k = h.columns.shape[1]
-        reasons.append(
-            Reason(h.name, h.unit, tuple(h.labels), value[at : at + k], half[at : at + k], alone[h.name], still, equal)
-        )
-        at += k
-    return reasons
+    ends = np.cumsum([h.columns.shape[1] for h, *_ in steps])[:-1]
+    value, half = (np.split(each, ends) for each in _fitted(residual, [h for h, *_ in steps]))
+    return [
+        Reason(h.name, h.unit, tuple(h.labels), its_value, its_half, alone[h.name], still, equal)
+        for (h, still, equal), its_value, its_half in zip(steps, value, half, strict=True)
+    ]
 
 
 def _fitted(residual: Array, hypotheses: Sequence[Hypothesis]) -> tuple[Array, Array]:

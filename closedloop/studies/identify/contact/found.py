@@ -100,10 +100,8 @@ def touch_of(recording: Recording, robot: Robot, normal: Array) -> Touch:
     """Return where the tip of a recording is, and when it touches a plane."""
     time, q, force = recording.time, recording.positions, recording.force
     ways = [q, motion.between_counts(q), motion.half_of(q, 0), motion.half_of(q, 1)]
-    stride = -(-len(time) // motion.EVALUATIONS)
-    if stride > 1:
-        time, *ways = (_averaged(x, stride) for x in (time, *ways))
-        force = None if force is None else _averaged(force, stride)
+    time, *ways = map(_averaged, (time, *ways))
+    force = None if force is None else _averaged(force)
     arm = carried_by(robot.model.tools, robot.tip)[1]
     poses = [robot.frame_poses(robot.tip, way) for way in ways]
     position, whole, even, odd = (wrist + turned @ arm for turned, wrist in poses)
@@ -135,16 +133,16 @@ def touch_of_speed(recording: Recording, normal: Array) -> Touch:
     height = np.concatenate([[0.0], np.cumsum(0.5 * (rate[1:] + rate[:-1]) * np.diff(time))])
     if np.cov(height, force)[0, 1] > 0.0:
         height = -height
-    stride = -(-len(time) // motion.EVALUATIONS)
-    if stride > 1:
-        time, height, force = (_averaged(x, stride) for x in (time, height, force))
+    time, height, force = map(_averaged, (time, height, force))
     axes, none = np.broadcast_to(np.eye(3), (len(time), 3, 3)), np.zeros(len(time), dtype=bool)
     place = np.outer(height, normal)
     between = place, motion.half_of(place, 0), motion.half_of(place, 1)
     return _told(Touch(time, place, force[:, None], between, axes, normal, none, none, recording.source))
 
 
-def _averaged(x: Array, stride: int) -> Array:
+def _averaged(x: Array) -> Array:
+    """Return means of so many rows (N, ...) at a time that no more are left than are evaluated."""
+    stride = -(-len(x) // motion.EVALUATIONS)
     count = len(x) // stride
     return x[: count * stride].reshape(count, stride, *x.shape[1:]).mean(axis=1)
 
@@ -396,8 +394,7 @@ def compliance_of(windows: Windows, sensor: Sensor, z: float) -> Part:
     used = windows.within(touch.closed)
     height = windows.mean(windows.x.q @ n)
     if used.sum() < FEWEST:
-        why = "the tip never touches for long: press it on the surface"
-        part.estimates = [unknown(name, unit, why) for name, unit in NAMES]
+        part.estimates = [unknown(name, unit, TOUCH) for name, unit in NAMES]
         return part
     noise = float(white_noise(touch.height[:, None])[0]) * np.sqrt(2.0 * touch.step * windows.cutoff)
     sinks = float(height[used].std())
@@ -536,7 +533,7 @@ def friction_of(windows: Windows, sensor: Sensor, z: float) -> Part:
         closed = windows.within(touch.closed)
         ratio = np.linalg.norm(tangential[closed], axis=1) / np.maximum(f[closed], 1e-300)
         low = float(np.percentile(ratio, 99.0)) if len(ratio) else 0.0
-        why = "the tip never touches for long: press it on the surface, and slide it"
+        why = f"{TOUCH}, and slide it"
         if len(ratio):
             why = f"the tip hardly slides while it touches (μ is at least {low:.3g}): slide it, both ways"
         part.estimates = [unknown("friction", "1", why, low), unknown("viscous_friction", "N s/m", why)]

@@ -186,18 +186,13 @@ def page_of(study: Stability, limits: bool = True) -> Page:
 
 def _limits_of(study: Stability) -> dict[str, Limit | str]:
     scenario, stable = study.scenario, study.base.stable
-    wanted: dict[str, float] = {}
-    for key in GAINS:
+    found: dict[str, Limit | str] = {}
+    for key in (*GAINS, *(("compliance.stiffness",) if study.base.soft else ())):
         section, _, name = key.partition(".")
         value = getattr(getattr(scenario, section), name, 0.0)
-        if isinstance(value, float | int) and value > 0.0:
-            wanted[key] = MOST_GAIN
-    if study.base.soft and hasattr(scenario.compliance, "stiffness"):
-        wanted["compliance.stiffness"] = MOST_STIFFNESS
-    found: dict[str, Limit | str] = {}
-    for key, most in wanted.items():
-        section, _, name = key.partition(".")
-        value = float(getattr(getattr(scenario, section), name))
+        if not isinstance(value, float | int) or value <= 0.0:
+            continue
+        most = MOST_GAIN if key in GAINS else MOST_STIFFNESS
         end = value * most if stable else value / most
         over = Range(key, value, end, log=True)
         try:
@@ -362,11 +357,7 @@ def nyquist(page: Page, ax: Axes | Sequence[Axes] | None = None) -> Figure:
     axes.plot(-1.0 + margins.modulus * np.cos(turn), margins.modulus * np.sin(turn), color=COLOURS[2])
     axes.plot(np.cos(turn), np.sin(turn), color="0.6", linewidth=0.8, linestyle="--")
     axes.plot([-1.0], [0.0], "+", color=COLOURS[1], markersize=12, markeredgewidth=2)
-    axes.set_xlim(-NYQUIST, NYQUIST)
-    axes.set_ylim(-NYQUIST, NYQUIST)
-    axes.set_aspect("equal")
-    axes.set_xlabel("Re L")
-    axes.set_ylabel("Im L")
+    axes.set(xlim=(-NYQUIST, NYQUIST), ylim=(-NYQUIST, NYQUIST), aspect="equal", xlabel="Re L", ylabel="Im L")
     axes.set_title(f"loop cut at {margins.cut}; " + _unless_unstable(margins, f"modulus margin {margins.modulus:.2f}"))
     return figure
 
@@ -387,9 +378,8 @@ def poles(page: Page, ax: Axes | Sequence[Axes] | None = None) -> Figure:
         mine = [pole.z for pole in page.loop.poles() if pole.part == part]
         axes.plot([z.real for z in mine], [z.imag for z in mine], "x", color=colour, label=part, markeredgewidth=1.6)
         near = [pole.s for pole in shown if pole.part == part]
-        slow.plot(
-            [s.real for s in near], [s.imag / (2.0 * math.pi) for s in near], "x", color=colour, markeredgewidth=1.6
-        )
+        hertz = [s.imag / (2.0 * math.pi) for s in near]
+        slow.plot([s.real for s in near], hertz, "x", color=colour, markeredgewidth=1.6)
     if page.loop.closure.size:
         z = page.loop.closure
         axes.plot(z.real, z.imag, "+", color="0.5", label="stabiliser")
@@ -421,9 +411,8 @@ def sensitivity(page: Page, ax: Axes | Sequence[Axes] | None = None) -> Figure:
     axes.axhline(1.0, color="0.5", linewidth=0.8)
     axes.set(xlabel="frequency [Hz]", ylabel="size")
     axes.legend(fontsize="small")
-    axes.set_title(
-        f"sensitivity at {margins.cut}: " + _unless_unstable(margins, f"at most {margins.peak_sensitivity:.2f}")
-    )
+    said = _unless_unstable(margins, f"at most {margins.peak_sensitivity:.2f}")
+    axes.set_title(f"sensitivity at {margins.cut}: {said}")
     return figure
 
 
@@ -470,10 +459,8 @@ def stability_map(
         axes.plot(*here, "*", color="k", markersize=10, label="the scenario")
     for key, scale in ((along, axes.set_xscale), (over, axes.set_yscale)):
         scale("log" if key.log else "linear")
-    axes.set_xlim(along.low, along.high)
-    axes.set_ylim(over.low, over.high)
     across, up = (with_unit(each.key, key_unit(each.key, scenario)) for each in (along, over))
-    axes.set(xlabel=across, ylabel=up)
+    axes.set(xlim=(along.low, along.high), ylim=(over.low, over.high), xlabel=across, ylabel=up)
     axes.set_title("Where the force loop becomes unstable" if boundary else "The force loop has no limit in this map")
     legend_beside_title(axes)
     return figure

@@ -186,11 +186,8 @@ def output(name: str, run: Run, *, whole: bool = False) -> Output:
     `whole`: whether columns are taken whole, and nothing else.
     """
     column, at, instant = name.partition(AT)
-    if (
-        column in EVENT_COLUMNS
-        or column in run.specs
-        or column in DERIVED
-        or column in columns_by_contact(run.scenario.contact or ())
+    if any(
+        column in some for some in (EVENT_COLUMNS, run.specs, DERIVED, columns_by_contact(run.scenario.contact or ()))
     ):
         if at or whole or column.startswith(EVENTS):
             return _column(name, column, instant if at else None, run, whole)
@@ -245,7 +242,6 @@ def _column(name: str, column: str, instant: str | None, run: Run, whole: bool) 
             raise ScenarioError(f"of: {name}: events have instants of their own; ask for {column}")
         if not len(values):
             raise ScenarioError(f"of: {name}: this run has no events")
-        return Output(name, lambda made: getattr(made, column), units, column)
     if instant is None:
         return Output(name, lambda made: getattr(made, column), units, column)
     row = -1

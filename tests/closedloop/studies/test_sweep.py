@@ -124,7 +124,7 @@ def test_an_end_before_or_after_any_rename_costs_nothing(tmp_path, monkeypatch, 
 def test_damaged_columns_are_made_again(tmp_path, monkeypatch, damage):
     """Columns that a disk has lost are no part, whatever is left of them."""
     with monkeypatch.context() as patch:
-        patch.setattr("closedloop.studies.sweep.sweep.join", lambda *_: None)
+        patch.setattr("closedloop.studies.sweep.store.join", lambda *_: None)
         run_sweep(small(["f"]), tmp_path / "t.parquet", workers=1)
     (tmp_path / "t.parquet.parts" / "part-00000003.npz").write_bytes(damage)
     run_sweep(small(["f"]), tmp_path / "t.parquet", workers=1)
@@ -142,8 +142,8 @@ def test_only_what_is_missing_is_run(tmp_path, monkeypatch):
 
     from closedloop.studies.sweep.store import run_part
 
-    monkeypatch.setattr("closedloop.studies.sweep.sweep.run_part", counted)
-    monkeypatch.setattr("closedloop.studies.sweep.sweep.join", lambda *_: None)
+    monkeypatch.setattr("closedloop.studies.sweep.store.run_part", counted)
+    monkeypatch.setattr("closedloop.studies.sweep.store.join", lambda *_: None)
     out = tmp_path / "t.parquet"
     folder = tmp_path / "t.parquet.parts"
     run_sweep(small(), out, workers=1)
@@ -311,7 +311,7 @@ def test_an_interrupted_sweep_says_how_to_go_on(capsys, tmp_path, monkeypatch):
     def interrupt(*_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("closedloop.studies.sweep.sweep.run_part", interrupt)
+    monkeypatch.setattr("closedloop.studies.sweep.store.run_part", interrupt)
     status, _, err = sweep(capsys, *SMALL, "--out", tmp_path / "t.parquet")
     assert (status, err) == (130, "closedloop sweep: interrupted; the same command goes on from here\n")
 

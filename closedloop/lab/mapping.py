@@ -421,7 +421,7 @@ class MapWork:
                 held = () if control.index is None else tuple(control.value)
                 index = None if axis.together else control.index
                 ranges.append(Range(control.key, *ends, control.form == "log", held, index))
-            limits = study.boundary(*ranges, POINTS, FINE, self._stopped)
+            limits = study.boundary(ranges[0], ranges[1], POINTS, FINE, self._stopped)
         except (ClosedLoopError, ArithmeticError, ValueError):
             return
         if self._stopped():

@@ -255,9 +255,8 @@ class Design(Sequence[tuple[Any, ...]]):
         from scipy.stats import qmc
 
         # Its numbers are from (0, 1]: the end belongs to the last value.
-        drawn: NDArray[np.float64] = qmc.LatinHypercube(len(self.axes), rng=np.random.default_rng(self.seed)).random(
-            self.runs
-        )
+        generator = np.random.default_rng(self.seed)
+        drawn = qmc.LatinHypercube(len(self.axes), rng=generator).random(self.runs)
         return np.asarray(np.minimum(drawn, math.nextafter(1.0, 0.0)))
 
 
@@ -323,8 +322,8 @@ class Sweep:
         """What a worker needs to run any part."""
         kinds = tuple(axis.kind for axis in self.design.axes)
         return Job(
-            self.scenario.to_toml(), self.design.keys, kinds, self.engine, self.keep, self.design.runs, self._members,
-            self.law, self.law_digest,
+            self.scenario.to_toml(), self.design.keys, kinds, self.engine, self.keep, self.design.runs,
+            members(self.scenario, self._changes), self.law, self.law_digest,
         )  # fmt: skip
 
     @cached_property
@@ -350,10 +349,6 @@ class Sweep:
     def _changes(self) -> dict[str, Any]:
         """The values of the keys that change."""
         return {axis.key: axis.values for axis in self.design.axes}
-
-    @cached_property
-    def _members(self) -> tuple[tuple[str, str], ...]:
-        return members(self.scenario, self._changes)
 
 
 def run_sweep(

@@ -141,10 +141,8 @@ def shares_at(run: Record, row: int) -> tuple[NDArray[np.bool_], int, int]:
             forces[at, i] = 1.0
         else:
             frictions[at, 2 * i + j - 1] = 1.0
-    times, q = (
-        np.full(len(units), run.time[row]),
-        np.tile(in_pinocchios_order(run.q[row], run.model.joint_types), (len(units), 1)),
-    )
+    times = np.full(len(units), run.time[row])
+    q = np.tile(in_pinocchios_order(run.q[row], run.model.joint_types), (len(units), 1))
     rows = contact_torques(run.scenario, run.model.pinocchio_model(), times, q, forces, frictions)
     ways, sizes, _ = np.linalg.svd(rows)
     rank = int(np.count_nonzero(sizes > SAME_ROW * float(np.max(np.abs(rows), initial=0.0))))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -256,6 +256,7 @@ def notes(run: Record) -> list[str]:
     return [text for text in lines if text] + [f"{key}: {fault}" for key, fault in faults if fault and key not in told]
 
 
+Heads = Mapping[str, Mapping[str, Any]]
 # Letters of a contact's name for which a table of 80 has room, and the columns of the name and of the decompression.
 WIDEST_NAME, NAMED, DECOMPRESSION = 16, 2, 6
 
@@ -273,32 +274,32 @@ def print_report(run: Record, width: int | None = None, comparison: bool = False
 
     With `comparison` also the whole comparison with the run at half the step, of a run that has it.
     """
-    from rich import box
     from rich.console import Console
     from rich.markup import escape
-    from rich.table import Table
 
     console = Console(width=width, highlight=False)
     facts = run.summary()
     _print_verdict(facts, console)
-    table = Table(box=box.SIMPLE_HEAD, title=f"{run.scenario.name}: the paper's assumptions", title_justify="left")
-    table.add_column("assumption")
-    table.add_column("held")
-    table.add_column("first failed", justify="right")
-    table.add_column("decided by")
+    rows: list[Sequence[str]] = []
     for name, verdict in facts["assumptions"].items():
         held = {True: "[green]yes[/]", False: "[bold red]NO[/]", None: "unknown"}[verdict["held"]]
         if verdict["held"] is False and not verdict["expected"]:
             held = "outside,\npassed" if name == "nonsingular" else "outside, by\nthe scenario"
         when = "" if verdict["first_failed"] is None else f"{verdict['first_failed']:.4g} s"
-        table.add_row(_TITLES[name], held, when, verdict["measured"])
-    console.print(table)
+        rows.append((_TITLES[name], held, when, verdict["measured"]))
+    heads: Heads = {"assumption": {}, "held": {}, "first failed": {"justify": "right"}, "decided by": {}}
+    _print_table(f"{run.scenario.name}: the paper's assumptions", heads, rows, console)
     if len(run) == 0:
         return
-    _print_values("how large every error was, at its worst", "value", report_rows(run), console)
+    values = [("how large every error was, at its worst", "value", report_rows(run))]
     if comparison and run.halved is not None:
         title = f"at half the step, {run.halved['step']:g} s, by how much it differs"
-        _print_values(title, "differs by", [tuple(map(escape, row)) for row in halved_rows(run.halved)], console)
+        escaped = [(escape(a), escape(b), escape(c), escape(d)) for a, b, c, d in halved_rows(run.halved)]
+        values.append((title, "differs by", escaped))
+    whole = {"no_wrap": True}
+    for title, what, found in values:
+        heads = {"quantity": whole, what: {"justify": "right", **whole}, "unit": whole, "beside it": {}}
+        _print_table(title, heads, found, console)
     if run.events:
         _print_events(run, console)
     for note in notes(run):
@@ -326,16 +327,13 @@ def _print_verdict(facts: dict[str, Any], console: Console) -> None:
         console.print(f"  [bold red]{problem['name']}[/]: {escape(problem['text'])}{when}")
 
 
-def _print_values(title: str, what: str, rows: Iterable[Sequence[str]], console: Console) -> None:
-    """Print a table of values: the name of each, the value, called `what`, its unit, and what stands beside it."""
+def _print_table(title: str, heads: Heads, rows: Iterable[Sequence[str]], console: Console, **look: Any) -> None:
+    """Print a table; `heads` are the titles of its columns, each with how it is to look."""
     from rich import box
-    from rich.table import Table
+    from rich.table import Column, Table
 
-    table = Table(box=box.SIMPLE_HEAD, title=title, title_justify="left")
-    table.add_column("quantity", no_wrap=True)
-    table.add_column(what, justify="right", no_wrap=True)
-    table.add_column("unit", no_wrap=True)
-    table.add_column("beside it")
+    columns = [Column(head, **how) for head, how in heads.items()]
+    table = Table(*columns, box=box.SIMPLE_HEAD, title=title, title_justify="left", **look)
     for row in rows:
         table.add_row(*row)
     console.print(table)
@@ -343,9 +341,6 @@ def _print_values(title: str, what: str, rows: Iterable[Sequence[str]], console:
 
 def _print_events(run: Record, console: Console) -> None:
     """Print the first events as a table, columns that would be empty left out."""
-    from rich import box
-    from rich.table import Table
-
     shown = run.events[:MOST_EVENTS]
     heads = ("time\ns", "event", "contact", "rate\nbefore\nm/s", "rate\nafter\nm/s", "com-\npression\nN s",
              "decom-\npression\nN s", "energy\nlost\nJ")  # fmt: skip
@@ -354,13 +349,10 @@ def _print_events(run: Record, console: Console) -> None:
     kept = [k for k in range(len(heads)) if any(row[k] for row in rows)]
     if NAMED in kept and DECOMPRESSION in kept:  # of both there is no room; the rates say the restitution
         kept.remove(DECOMPRESSION)
+    look = {k: {"justify": "left" if k in (1, 2) else "right", "no_wrap": True, "vertical": "bottom"} for k in kept}
+    cells = [[row[k] for k in kept] for row in rows]
     # Nothing between the columns but one blank: seven fit into 80.
-    table = Table(box=box.SIMPLE_HEAD, title="events", title_justify="left", padding=(0, 1, 0, 0))
-    for k in kept:
-        table.add_column(heads[k], justify="left" if k in (1, 2) else "right", no_wrap=True, vertical="bottom")
-    for row in rows:
-        table.add_row(*(row[k] for k in kept))
-    console.print(table)
+    _print_table("events", {heads[k]: how for k, how in look.items()}, cells, console, padding=(0, 1, 0, 0))
     more = len(run.events) - len(shown)
     if more:
         console.print(f"  and {more} more, the last at {run.events[-1].time:.6f} s")

@@ -93,28 +93,25 @@ class Actions:
 
 def _parts(name: str, problem: Problem) -> list[tuple[str, list[tuple[int, int]]]]:
     """Return the label of each number of a kind of action, and what it sets at which places."""
-    robot = problem.robot
-    if name == "torque":
-        return [(f"torque.{joint}", [(TORQUE, j)]) for j, joint in enumerate(robot.model.joint_names)]
+    joints = problem.robot.model.joint_names
+    several = {"torque": (TORQUE, joints), "tip": (SHIFT, AXES), "joint": (JOINT, joints)}
     if name == "force":
         return [("force", [(FORCE, 0)])]
-    if name == "tip":
-        return [(f"tip.{axis}", [(SHIFT, i)]) for i, axis in enumerate(AXES)]
-    if name.startswith("tip.") and name[4:] in AXES:
-        return [(name, [(SHIFT, AXES.index(name[4:]))])]
-    joints = robot.model.joint_names
-    if name == "joint":
-        return [(f"joint.{joint}", [(JOINT, j)]) for j, joint in enumerate(joints)]
-    if name.startswith("joint."):
-        if name[6:] not in joints:
-            raise ScenarioError(f"actions[{name!r}]: no such joint; there are {', '.join(joints)}")
-        return [(name, [(JOINT, joints.index(name[6:]))])]
+    if name in several:
+        kind, parts = several[name]
+        return [(f"{name}.{part}", [(kind, i)]) for i, part in enumerate(parts)]
+    word, _, part = name.partition(".")
+    if word == "joint" and part not in joints:
+        raise ScenarioError(f"actions[{name!r}]: no such joint; there are {', '.join(joints)}")
+    if word in ("tip", "joint") and part in several[word][1]:
+        kind, parts = several[word]
+        return [(name, [(kind, parts.index(part))])]
     key = name.removeprefix("law.")
     block = parameter_block(problem.law.member)
     if not name.startswith("law.") or key not in block.layout.at:
         known = ", ".join(f"law.{each}" for each in block.layout.at)
         raise ScenarioError(f"actions[{name!r}]: must be {WORDS}; of this law there are {known}")
-    place = block.place(key, robot.n)
+    place = block.place(key, problem.robot.n)
     places = range(place.start, place.stop) if isinstance(place, slice) else (place,)
     return [(name, [(PARAMETER, at) for at in places])]
 

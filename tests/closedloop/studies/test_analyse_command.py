@@ -113,10 +113,10 @@ def test_bode_marks_the_turn_and_names_its_lines():
 def test_figures_and_a_map(command_line, tmp_path, monkeypatch):
     """With --out the numbers and the figures are written, with two keys a map among them."""
     drawn = []
-    monkeypatch.setattr(
-        "closedloop.studies.analysis.page.write_figure",
-        lambda figure, path, formats: drawn.append((path.name, figure)) or path,
-    )
+    for module in ("closedloop.studies.analysis.page", "closedloop.figures.files"):
+        monkeypatch.setattr(
+            f"{module}.write_figure", lambda figure, path, formats: drawn.append((path.name, figure)) or path
+        )
     said = command_line(
         "analyse", "soft_table", *GAIN, "--out", tmp_path / "out", "--no-runs",
         "--vary", "compliance.stiffness=log:1e4:4e4:3", "--vary", "law.force_integral=log:100:4000",

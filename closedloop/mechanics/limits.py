@@ -28,7 +28,6 @@ def limit(name: str, value: T, unit: str, reason: str) -> T:
 # Shares of what is compared.
 EXACT = limit("EXACT", 1e-13, "1", "equations are solved, and energies equal, but for rounding")
 AT_EDGE = limit("AT_EDGE", 1e-12, "1", "what is so near to its limit is at it")
-VANISHING = limit("VANISHING", 1e-11, "1", "a sum that is less, of its terms, is none")
 DEPENDENT = limit(
     "DEPENDENT", 1e-10, "1", "a row with less beyond the span of others depends on them; a force that is less is none"
 )
@@ -54,10 +53,10 @@ RESTING = limit(
 )
 STILL = limit("STILL", 1e-9, "m/s", "a slip that is slower has no direction of its own")
 STICK_SPEED = limit(
-    "STICK_SPEED", 1e-7, "m/s", "a slip that is slower has only begun, or has ended; and what the stabiliser may remove"
-)
-TURNED = limit(
-    "TURNED", 1e-6, "m/s", "a slip that has turned round is none below this; and the step of a difference quotient"
+    "STICK_SPEED",
+    1e-7,
+    "m/s",
+    "a slip that is slower has only begun, or has ended; what the stabiliser may remove; step of a quotient",
 )
 SLOWEST_REBOUND = limit("SLOWEST_REBOUND", 1e-4, "rad/s or m/s", "a rebound from a stop that is slower is none")
 
@@ -104,9 +103,6 @@ MOST_OF = limit(
     "1",
     "what is more is nearly all: of what is left until slips end, of a residual, a tilt, an angle, a cosine",
 )
-FADED = limit(
-    "FADED", 0.5, "1", "a slip that begins below STICK_SPEED ends if it falls in a step to less than this share"
-)
 TENTH = limit(
     "TENTH",
     0.1,
@@ -145,14 +141,9 @@ ITERATIONS = limit("ITERATIONS", 40, "", "of any iteration: what has not converg
 REFINEMENTS = limit(
     "REFINEMENTS", 5, "", "of solutions and their derivatives, and moves of a projection: all converge quickly"
 )
-TURNS = limit("TURNS", 20, "", "solutions in which the friction of slow slips is turned")
-MOST_STALLED = limit(
-    "MOST_STALLED", 2, "", "times that turning friction of slow slips may change it by no less than before"
-)
-HALVINGS = limit("HALVINGS", 12, "", "of a step of Newton's method")
+HALVINGS = limit("HALVINGS", 12, "", "of a step of Newton's method, and of restitution that no impulses give")
 SWEEPS = limit("SWEEPS", 500, "", "of Gauss and Seidel's method over joints with dry friction")
 STEPS = limit("STEPS", (20, 100), "", "of the homotopy from Anitescu's problem, the more where few do not do")
-MOST_MISSING = limit("MOST_MISSING", 10, "", "problems without solution in the search for the largest restitution")
 MAX_RAPID = limit("MAX_RAPID", 20, "", "events at one instant after which a bounce ends in contact")
 MAX_IN_STEP = limit(
     "MAX_IN_STEP", 2000, "", "events in a step after which modes are not sought any more: a bounce at e = 0.99 has 900"

@@ -59,13 +59,13 @@ from closedloop.mechanics.impact import energy_lost
 from closedloop.mechanics.limits import (
     BREAKING_AWAY,
     CLOSED,
-    FADED,
     HOVERING,
     MOST_OF,
     QUARTER,
     RESTING,
     STICK_SPEED,
     STILL,
+    TENTH,
     TOUCHING,
     WEDGED,
 )
@@ -352,7 +352,7 @@ def margin_of(links: ContactLinks, c: Contacts, k: int, slow: float, rest: float
             if start <= STILL:
                 end = -slow
             elif start <= max(slow, rest):
-                end = FADED * start
+                end = TENTH * start
             least = min(least, along - end)
     return float(least)
 

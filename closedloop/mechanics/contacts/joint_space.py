@@ -23,6 +23,7 @@ from closedloop.jit.blocks import Block, Count
 from closedloop.jit.calls import row_of
 from closedloop.jit.kernel import kernel
 from closedloop.mechanics.limits import (
+    DEPENDENT,
     EXACT,
     FIRST_RHO,
     FOUND,
@@ -37,7 +38,6 @@ from closedloop.mechanics.limits import (
     STIFF,
     STIFFEST_RHO,
     TENTH,
-    VANISHING,
     WIDENING,
 )
 from closedloop.mechanics.loops.solve import dot
@@ -263,7 +263,7 @@ def newton_step_of_joints(s: JointSpace, a: int, n: int, stiffness: float) -> No
         s.until[j] = end
         for m in range(j, end):
             M[j, m] = M[m, j] = 0.0
-        M[j, j] = 1.0 if s.held == 0.0 else VANISHING
+        M[j, j] = 1.0 if s.held == 0.0 else DEPENDENT
     for i in range(a):
         add_rows(s, i, i, rho_of(s, i, stiffness))
         if s.normal[i] == OWNED:
@@ -451,7 +451,7 @@ def find_least(s: JointSpace, a: int, n: int) -> float:
     s.residual, s.asked = FOUND, math.sqrt(size * s.largest)
     do_round(s, a, n, 1.0, False, SMALL * SMALL)
     s.held = 0.0
-    if dot(s.off, s.off, n) <= VANISHING * VANISHING * size:
+    if dot(s.off, s.off, n) <= DEPENDENT * DEPENDENT * size:
         return 0.0
     for r in range(3 * a):
         i, row = r // 3, row_of(s.X, r)
@@ -471,7 +471,7 @@ def find_least(s: JointSpace, a: int, n: int) -> float:
     for j in range(n):
         s.off[j] = s.y[j] - s.wanted[j]
     off = dot(s.off, s.off, n)
-    return math.sqrt(off / s.largest) if off > VANISHING * VANISHING * size else 0.0
+    return math.sqrt(off / s.largest) if off > DEPENDENT * DEPENDENT * size else 0.0
 
 
 @kernel

@@ -30,14 +30,13 @@ from closedloop.mechanics.contacts.unknown_modes import solve_contacts
 from closedloop.mechanics.limits import (
     BEYOND_EDGE,
     CLOSED_GAP,
+    DEPENDENT,
     FOUND,
     HOVERING,
     RESTING,
     SINKING,
     STICK_SPEED,
     TOUCHING,
-    TURNED,
-    VANISHING,
     WEDGED,
 )
 
@@ -109,7 +108,7 @@ def decide(links: ContactLinks, c: Contacts, slow: float) -> int:
     if not found:
         return PAINLEVE
     c.problem.sought, c.problem.borne = 1.0, 0.0
-    nothing = max(VANISHING * size, c.stepping.residual * c.stepping.asked)
+    nothing = max(DEPENDENT * size, c.stepping.residual * c.stepping.asked)
     for i in range(links.joints):
         if c.friction.pulls[i] == 0.0 or stops_slipping(c, i):
             mode = mode_after(c, i, nothing, links.chattering != 0)
@@ -158,10 +157,10 @@ def choose_kinds(links: ContactLinks, c: Contacts, slow: float) -> float:
         band = slow if speed > c.friction.capture[i] else c.friction.capture[i] * (1.0 + FOUND)
         c.problem.form[i] = LINE if pulls else RAY
         if c.friction.sticks[i] == SPRING_STICK:
-            hold_by_spring(links, c, i, speed <= slow, turned and speed <= TURNED)
+            hold_by_spring(links, c, i, speed <= slow, turned and speed <= STICK_SPEED)
         elif c.mode[i] == STUCK and c.event.outside[i] != 0.0 and has_law(links, i) and c.friction.kinetic[i] < c.mu[i]:
             slide(links, c, i)  # what moves is held by less than what rests
-        elif speed <= (TURNED if turned else band) and c.mu[i] > 0.0:
+        elif speed <= (STICK_SPEED if turned else band) and c.mu[i] > 0.0:
             c.problem.form[i] = DOUBLE if pulls else CONE
         elif has_law(links, i):
             if speed > 0.0:

@@ -44,7 +44,16 @@ from closedloop.mechanics.contacts.memory import INSIDE, ContactLinks, Contacts,
 from closedloop.mechanics.contacts.order import order_joints
 from closedloop.mechanics.contacts.resistance import is_resistance
 from closedloop.mechanics.contacts.soft import force_at, soft_gap
-from closedloop.mechanics.limits import AHEAD, FOUND, HALVINGS, HOVERING, SLIGHT, STIFF, TENTH, TURNED
+from closedloop.mechanics.limits import (
+    AHEAD,
+    FOUND,
+    HALVINGS,
+    HOVERING,
+    SLIGHT,
+    STICK_SPEED,
+    STIFF,
+    TENTH,
+)
 
 
 @kernel
@@ -230,7 +239,7 @@ def write_softness(links: ContactLinks, c: Contacts, i: int, s: JointSpace, a: i
     f = force_at(links, i, -gap - h * u, -u)
     if not f > 0.0:
         return False
-    s.falls[a] = h * max(f - force_at(links, i, -gap - h * (u + TURNED), -u - TURNED), 0.0) / TURNED
+    s.falls[a] = h * max(f - force_at(links, i, -gap - h * (u + STICK_SPEED), -u - STICK_SPEED), 0.0) / STICK_SPEED
     s.given[a] = h * f + s.falls[a] * u
     return True
 

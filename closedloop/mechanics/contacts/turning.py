@@ -44,18 +44,17 @@ from closedloop.mechanics.contacts.resistance import is_resistance
 from closedloop.mechanics.contacts.soft import drop_contradictions, shared_friction, some_share
 from closedloop.mechanics.limits import (
     AT_EDGE,
+    DEPENDENT,
     FIRST_RHO,
     FOUND,
     HIGH,
     HOVERING,
     ITERATIONS,
-    MOST_STALLED,
+    REFINEMENTS,
     SAME_DIRECTION,
     STICK_SPEED,
     STIFF,
     STILL,
-    TURNS,
-    VANISHING,
     WIDENING,
 )
 from closedloop.mechanics.loops.solve import dot, orthonormal_basis, take_off
@@ -85,14 +84,14 @@ def turn_and_solve(links: ContactLinks, c: Contacts, h: float, begins: bool, poi
         return int(OK)
     c.problem.points = 1.0 if points else 0.0
     last, stalled, most = math.inf, 0, HIGH * force_size(c.rigid)
-    for _ in range(TURNS):
+    for _ in range(ITERATIONS):
         change = turn_slips(links, c, h, begins)
         if change < 0.0 or solve_closed(links, c) != OK or some_pull(c, k) or force_size(c.rigid) > most:
             break
         if begins and not points and presses_in(c, k):
             break
         stalled += 1 if change >= last else 0  # where forces are not unique it need not become less
-        if change <= VANISHING or stalled == MOST_STALLED or not some_slip_slowly(c, k, h):
+        if change <= DEPENDENT or stalled == REFINEMENTS or not some_slip_slowly(c, k, h):
             return int(OK)
         last = float(change)
     else:

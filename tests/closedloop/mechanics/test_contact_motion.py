@@ -10,7 +10,8 @@ from budget import budget
 from scipy.integrate import quad
 
 import closedloop as cl
-from closedloop.record.report.summary import contact_rows, share_not_determined
+from closedloop.record.report.summary import share_not_determined
+from closedloop.record.report.tables import report_rows
 
 
 def examine(run, mu, gap, rise=1e-8):
@@ -157,7 +158,7 @@ def test_shares_that_are_not_determined_are_told(tmp_path):
     start = ([0, 0, 0.05, 0, 0, 0], [0, 0, 0, 0, 0, 0])
     four = simulate(tmp_path, HALF, FOUR, start, 0.3, **{"time.duration": 0.005})
     assert share_not_determined(four) == (0.0, 12, 6)
-    said = {row[0]: row for row in contact_rows(four)}["share of each contact not determined"]
+    said = {row[0]: row for row in report_rows(four)}["share of each contact not determined"]
     assert said[1:] == ("from 0", "s", "6 of 12 rows are independent; the forces of least norm are recorded")
     three = [[0.1, 0.0, -0.05], [-0.1, 0.05, -0.05], [-0.1, -0.05, -0.05]]
     three = simulate(tmp_path, HALF, three, start, 0.0, **{"time.duration": 0.005})

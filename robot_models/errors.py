@@ -1,6 +1,13 @@
-"""The root of the project's errors, and the one that this package raises."""
+"""The root of the project's errors, the one that this package raises, and warnings of other libraries."""
 
 import reprlib
+import threading
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+# What shows warnings, and which, is one for the whole process; so is the function that MuJoCo tells its own.
+_hearing = threading.Lock()
 
 
 class ClosedLoopError(Exception):
@@ -28,3 +35,11 @@ def shown(value: object) -> str:
         return reprlib.repr(value)
     except ValueError:  # Python writes out no whole number of more than some thousand digits
         return "a number of thousands of digits"
+
+
+@contextmanager
+def warnings_heard() -> Iterator[list[warnings.WarningMessage]]:
+    """Collect what Python's libraries warn of within the block, which one thread at a time goes through."""
+    with _hearing, warnings.catch_warnings(record=True) as heard:
+        warnings.simplefilter("always")
+        yield heard

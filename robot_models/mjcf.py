@@ -8,7 +8,6 @@ beside the text (`robot_models.mjcf_coupling`).
 What does no work is left out with a warning. What would change the motion and cannot be simulated is refused by name.
 """
 
-import warnings as python_warnings
 import xml.etree.ElementTree as ET
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager
@@ -20,7 +19,7 @@ import numpy as np
 
 from robot_models.collision import HULL, MOST_CORNERS
 from robot_models.coordinates import PARTS, PLACES
-from robot_models.errors import ModelError
+from robot_models.errors import ModelError, warnings_heard
 from robot_models.loop_joint import LoopJoint
 from robot_models.mechanism import Array, check_size
 from robot_models.mjcf_coupling import (
@@ -180,15 +179,14 @@ def _said() -> Iterator[list[str]]:
     import mujoco
 
     found: list[str] = []
-    before = mujoco.get_mju_user_warning()
-    mujoco.set_mju_user_warning(lambda text: found.append(f"MuJoCo says: {_one_line(text)}"))
-    try:
-        with python_warnings.catch_warnings(record=True) as heard:
-            python_warnings.simplefilter("always")
+    with warnings_heard() as heard:
+        before = mujoco.get_mju_user_warning()
+        mujoco.set_mju_user_warning(lambda text: found.append(f"MuJoCo says: {_one_line(text)}"))
+        try:
             yield found
-        found += [f"MuJoCo says: {_one_line(each.message)}" for each in heard]
-    finally:
-        mujoco.set_mju_user_warning(before)
+        finally:
+            mujoco.set_mju_user_warning(before)
+    found += [f"MuJoCo says: {_one_line(each.message)}" for each in heard]
 
 
 def _one_line(text: object) -> str:

@@ -1,5 +1,10 @@
 """An MJCF means to Pinocchio what it means to MuJoCo, or is refused."""
 
+import gc
+import time
+import warnings
+from concurrent.futures import ThreadPoolExecutor
+
 import mujoco
 import numpy as np
 import pinocchio as pin
@@ -7,6 +12,7 @@ import pytest
 from model_texts import MJCF_INERTIAL, mjcf
 
 import robot_models
+from robot_models import mjcf as reader
 from robot_models.coordinates import in_pinocchios_order, normalised
 
 CLASSES = (
@@ -308,3 +314,25 @@ def test_two_zeros_are_no_range(tmp_path):
     robot = load(tmp_path, mjcf(joint='<joint name="shoulder" range="0 0" actuatorfrcrange="0 0"/>'))
     assert robot.position_upper[0] == robot.effort_limit[0] == np.inf
     assert robot.joint_types[0] == "continuous"
+
+
+def test_threads_read_files_at_once():
+    """A batch does. What shows warnings is the process's: it stayed that of another thread, and hid them for good."""
+    texts = [mjcf(tail=f'<size nuserdata="{k}"/>') for k in range(40)]
+    before, threshold = (list(warnings.filters), mujoco.get_mju_user_warning()), gc.get_threshold()
+
+    def pause(phase, info):
+        time.sleep(0)  # lets another thread run
+
+    gc.callbacks.append(pause)
+    gc.set_threshold(20)
+    try:
+        with ThreadPoolExecutor(4) as pool:
+            found = list(pool.map(lambda text: reader.read(text, "a file", None), texts))
+    finally:
+        gc.set_threshold(*threshold)
+        gc.callbacks.remove(pause)
+    assert found == [reader.read(text, "a file", None) for text in texts]
+    assert (warnings.filters, mujoco.get_mju_user_warning()) == before
+    with pytest.warns(UserWarning, match="is heard"):
+        warnings.warn("is heard", stacklevel=1)

@@ -44,7 +44,8 @@ def touch_boxes(p: BoxPair) -> tuple[int, float]:
     """Write frame, points and gaps; return how many points there are, and how far apart the boxes are along n, m.
 
     Where edges separate by less more than a face, or A's face by less more than B's, the first of these is taken: they
-    are one direction then, but for rounding.
+    are one direction then, but for rounding. Edges that do not cross are left out: faces that come down beside them
+    touch elsewhere.
     """
     R, t, a, b, d = p.turn, p.middle, p.half_a, p.half_b, p.apart
     for i in range(3):
@@ -71,13 +72,11 @@ def touch_boxes(p: BoxPair) -> tuple[int, float]:
                 continue
             apart = abs(t[i2] * R[i1, j] - t[i1] * R[i2, j]) - b[i1] * abs(R[i2, j]) - b[i2] * abs(R[i1, j])
             apart = (apart - a[j1] * abs(R[i, j2]) - a[j2] * abs(R[i, j1])) / math.sqrt(square)
-            if apart > best + slight:
+            if apart > best + slight and touch_edges(p, i, j, apart):
                 best, axis = apart, 6 + 3 * i + j
     if axis < 6:
         return touch_face(p, axis % 3, axis >= 3, 0, -math.inf), best
-    count = touch_edges(p, (axis - 6) // 3, axis % 3, best)
-    if count == 0:
-        return 0, best
+    touch_edges(p, (axis - 6) // 3, axis % 3, best)
     n, nearest, axis = p.frames[0, 0], MOST_OF, -1
     for k in range(6):
         face = row_of(p.axes_b, k) if k < 3 else row_of(p.axes_a, k - 3)
@@ -88,10 +87,10 @@ def touch_boxes(p: BoxPair) -> tuple[int, float]:
 
 
 @kernel
-def touch_edges(p: BoxPair, i: int, j: int, apart: float) -> int:
-    """Write frame and point of edges along axis i of B and axis j of A that are so far apart, m; return 1, or 0.
+def touch_edges(p: BoxPair, i: int, j: int, apart: float) -> bool:
+    """Write frame and point of edges along axis i of B and axis j of A that are so far apart, m; return if they cross.
 
-    They touch in no point where this is beyond the end of an edge.
+    Where the point is beyond the end of an edge they do not: the boxes are then apart, and nothing comes closer there.
     """
     R, t, N = p.turn, p.middle, p.frames[0]
     i1, i2, c = (i + 1) % 3, (i + 2) % 3, R[i, j]
@@ -114,7 +113,7 @@ def touch_edges(p: BoxPair, i: int, j: int, apart: float) -> int:
         p.points[0, k] = on_b * E[k] + on1 * U[k] + on2 * V[k]
     write_last_tangent(N)
     p.gaps[0] = apart
-    return 1 if abs(on_a) <= p.half_a[j] and abs(on_b) <= p.half_b[i] else 0
+    return bool(abs(on_a) <= p.half_a[j] and abs(on_b) <= p.half_b[i])
 
 
 @kernel

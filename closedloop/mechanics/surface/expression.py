@@ -16,14 +16,13 @@ instructions, each of which is the result of one operation on the results before
 
 import ast
 import math
-import threading
-import warnings
 from collections.abc import Callable
 from typing import Any
 
 from closedloop.base.arrays import Array
 from closedloop.jit.interpreted import interpreted
 from closedloop.jit.kernel import kernel
+from robot_models.errors import warnings_heard
 
 # What an instruction does with results a and b before it, and its constant c: a + b, a − b, a b, c a, a + c, a ** c.
 ADD, SUBTRACT, MULTIPLY, SCALE, SHIFT, POWER = range(6)
@@ -38,8 +37,6 @@ FUNCTIONS = {
 INSTRUCTION, NUMBERS = 4, 10
 # Beyond it exp overflows.
 LARGEST_EXPONENT = 700.0
-# Python 3.11 counts the depth of what all threads parse in one place, and fails where two do (CPython issue 106905).
-_parsing = threading.Lock()
 
 
 @kernel
@@ -283,8 +280,7 @@ def instructions(text: str) -> tuple[float, ...]:
     if len(text) > LONGEST:
         raise ValueError(f"is too long: it has more than {LONGEST} characters")
     try:
-        with _parsing, warnings.catch_warnings():
-            warnings.simplefilter("ignore")
+        with warnings_heard():  # one thread at a time: where two parse at once Python 3.11 fails (CPython issue 106905)
             node = ast.parse(text.strip(), mode="eval").body
         tape = _Tape()
         last = tape.of(node)

@@ -86,6 +86,22 @@ def test_they_touch_where_they_overlap_least(near):
                 assert np.all(np.abs(axes @ (point - middle)) <= half + abs(gap) + 1e-12)
 
 
+def test_edges_that_do_not_cross_are_no_contact():
+    """A box that falls flat about its lower edge touches there, though another edge, beside it, is as far apart.
+
+    In one step of a heap there was no point between the boxes, and a corner came 0.8 mm deep in the next.
+    """
+    pair = BoxPair(np.zeros(BoxPair.count()))
+    pair.half_a[:], pair.half_b[:] = (0.029601821, 0.04884932, 0.025568242), (0.038700846, 0.044386693, 0.020904053)
+    pair.axes_a[:] = turn_of([0.008649087783, 0.728506421254, 0.684864681408, -0.012804516063]).T
+    pair.axes_b[:] = turn_of([-0.377308716705, 0.005724501741, -0.007601889054, -0.926038645879]).T
+    pair.apart[:] = 0.00585327090199, 0.0445183014098, 0.045850629024
+    count, apart = interpreted(touch_boxes)(pair)
+    assert 0.0 < apart < 2e-6
+    assert count >= 3  # the edge, and both corners that come down
+    assert np.max(pair.gaps[:count]) > 5e-4
+
+
 def test_the_same_points_when_they_change_places():
     """Boxes in the other order have the opposite normal, the same separation, and as many points."""
     for seed in range(100):

@@ -1,11 +1,27 @@
-"""A property that is worked out once for each object, without a lock."""
+"""Properties of objects, and answers of functions, that are worked out once, without a lock."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, Generic, TypeVar, overload
+from functools import wraps
+from typing import Any, Generic, ParamSpec, TypeVar, overload
 
 T = TypeVar("T")
+P = ParamSpec("P")
+
+
+def cached(function: Callable[P, T]) -> Callable[P, T]:
+    """As `functools.cache`; of threads that ask at once all get the answer that was there first, the same object."""
+    known: dict[Any, T] = {}
+
+    @wraps(function)
+    def answer(*arguments: P.args, **named: P.kwargs) -> T:
+        key = (*arguments, *named.items())
+        if key not in known:
+            known.setdefault(key, function(*arguments, **named))
+        return known[key]
+
+    return answer
 
 
 class cached_property(Generic[T]):

@@ -15,7 +15,7 @@ from typing import Any, TypeVar, cast
 
 from closedloop.jit import plain_numba as plain_numba
 from closedloop.jit.uninterrupted import compiler_at_work
-from robot_models.cached import cached_property
+from robot_models.cached import cached, cached_property
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -169,7 +169,7 @@ def long_loops_entry(function: F) -> F:
     return entry_kernel(function, long_loops=True)
 
 
-@cache
+@cached
 def kernel_of(member: type[Any], name: str, checked: bool = False) -> Callable[..., Any]:
     """Return a function of a member as a kernel, to be called by the member's entry.
 

@@ -7,7 +7,6 @@ class Spring(ControlLaw):
 
 import math
 from collections.abc import Sequence
-from functools import cache
 from types import NoneType, new_class
 from typing import Annotated, Any, NamedTuple, get_args, get_origin
 
@@ -17,6 +16,7 @@ from closedloop.base.arrays import Array
 from closedloop.base.errors import ScenarioError
 from closedloop.base.sections import Section
 from closedloop.jit.blocks import Block, Count
+from robot_models.cached import cached
 
 _N = Count.of("n")
 # Annotation of a key whose parameter is the list that `resolved` makes of it, such as the formula of a surface.
@@ -29,7 +29,7 @@ class Named(NamedTuple):
     name: str
 
 
-@cache
+@cached
 def parameter_block(section: type[Section]) -> type[Block]:
     """Return the block of a section's fields: numbers, and arrays (n,) of those with one for each joint.
 
@@ -44,7 +44,7 @@ def parameter_block(section: type[Section]) -> type[Block]:
     return _block(section, "Parameters", {name: shape for name, shape in shapes.items() if shape is not None})
 
 
-@cache
+@cached
 def one_joint_block(section: type[Section]) -> type[Block]:
     """Return the block of what a section says of one joint: what has one entry for each joint is a number."""
     shapes = parameter_block(section).layout.shape
@@ -52,14 +52,14 @@ def one_joint_block(section: type[Section]) -> type[Block]:
     return _block(section, "OneJoint", own)
 
 
-@cache
+@cached
 def state_block(member: type) -> type[Block]:
     """Return the block of a member's states: `states` are numbers, `joint_states` and `slip_states` arrays (n,)."""
     arrays = (*getattr(member, "joint_states", ()), *getattr(member, "slip_states", ()))
     return _block(member, "States", dict.fromkeys(getattr(member, "states", ()), ()) | dict.fromkeys(arrays, (_N,)))
 
 
-@cache
+@cached
 def _keys(section: type[Section]) -> dict[str, str]:
     """Return the key of each parameter, by its name."""
     names = {

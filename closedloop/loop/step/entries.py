@@ -9,7 +9,6 @@ Entries are the functions by which the loop calls the plug-ins of a scenario, co
 An entry takes the address of the loop's memory, and calls the member's functions with their arguments.
 """
 
-from functools import cache
 from typing import Any
 
 from closedloop.base.arrays import Array
@@ -23,6 +22,7 @@ from closedloop.loop.step.memory import Constants, State, Work, loop_at
 from closedloop.mechanics.closure.contact_force import FREE, STUCK
 from closedloop.mechanics.friction.answers import HOLD, LIMIT, RATES, SLIDE, STICK, answers
 from closedloop.mechanics.friction.law import JointFriction, Slip, SurfaceFriction, length_of
+from robot_models.cached import cached
 
 # The sum of two slopes, rad/s² (m/s²), that are rounding: their signs say nothing, but they may have derivatives.
 STILL = 1e-11
@@ -149,7 +149,7 @@ def _input(state: State, w: Work, arm: Any, tip: Any) -> LawInput:
     )  # fmt: skip
 
 
-@cache
+@cached
 def law_entry(member: type[ControlLaw] | type[Compensation]) -> Entry:
     """Return the entry of a law or a compensation, compiled when it is first needed.
 
@@ -182,7 +182,7 @@ def law_entry(member: type[ControlLaw] | type[Compensation]) -> Entry:
     return member_entry(entry, member, mark_raised)
 
 
-@cache
+@cached
 def friction_entry(member: type[SurfaceFriction]) -> Entry:
     """Return the entry of a law of the surface's friction, compiled when it is first needed.
 
@@ -213,7 +213,7 @@ def friction_entry(member: type[SurfaceFriction]) -> Entry:
     return member_entry(entry, member, mark_raised)
 
 
-@cache
+@cached
 def joint_friction_entry(member: type[JointFriction]) -> Entry:
     """Return the entry of a law of the joints' friction, which answers for all joints.
 

@@ -19,7 +19,6 @@ be told on the way (ROUNDING), f is its limit, as in the pose itself.
 """
 
 import math
-from functools import cache
 from typing import Annotated
 
 from closedloop.base.arrays import Array
@@ -62,6 +61,7 @@ from closedloop.mechanics.closure.solve import OK, PAINLEVE, PUSHED, SINGULAR, S
 from closedloop.mechanics.contacts.soft import AS_FORCE
 from closedloop.mechanics.limits import AT_EDGE, ITERATIONS, NEAR, SMALL
 from closedloop.mechanics.surface.surface import POINTS, WEIGHTS, Compliance
+from robot_models.cached import cached
 
 # Of the tip's position, as a share of the arm's reach.
 ROUNDING = 2.0**-52
@@ -219,7 +219,7 @@ def length(x: Array) -> float:
     return math.sqrt(total)
 
 
-@cache
+@cached
 def compliance_entry(member: type[Compliance]) -> Entry:
     """Return the entry of a compliance, compiled when it is first needed: it writes f into F[0]."""
     Parameters, force = parameter_block(member), function_of(member, "force")

@@ -8,7 +8,6 @@ time: it has the cone of `kinetic_level`, as the tip's has.
 
 import math
 from collections.abc import Callable
-from functools import cache
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np
@@ -36,6 +35,7 @@ from closedloop.mechanics.friction.law import Slip, SurfaceFriction, length_of
 from closedloop.mechanics.friction.laws.coulomb import SurfaceCoulomb
 from closedloop.mechanics.friction.laws.none import NoFriction
 from closedloop.mechanics.limits import AT_EDGE, STILL
+from robot_models.cached import cached
 
 STICKING = {"rigid": RIGID_STICK, "elastic": ELASTIC_STICK, "spring": SPRING_STICK}
 
@@ -61,7 +61,7 @@ class FrictionQuery(Block, sizes=("states", "par")):
 HEAD = FrictionQuery.count(0, 0)
 
 
-@cache
+@cached
 def contact_friction_entry(member: type[SurfaceFriction]) -> Entry:
     """Return the entry of a law of friction at the address of a `FrictionQuery`, compiled when it is first needed."""
     Parameters, States, answer = parameter_block(member), state_block(member), answers(member)

@@ -20,7 +20,6 @@ for which the integrator has a scheme (`closedloop.simulation.engines.adaptive.d
 
 import math
 from collections.abc import Callable
-from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -40,6 +39,7 @@ from closedloop.mechanics.contacts.surfaces import Called
 from closedloop.mechanics.limits import AT_EDGE, SMALL, STICK_SPEED
 from closedloop.mechanics.loops.solve import orthonormal_basis
 from closedloop.mechanics.surface.surface import POINTS, WEIGHTS, Compliance
+from robot_models.cached import cached
 
 # What stands before the parameters of a compliance: depth, m, its rate, m/s, and the force, N, that the entry writes.
 QUERY = 3
@@ -47,7 +47,7 @@ QUERY = 3
 AS_FORCE = 1e6
 
 
-@cache
+@cached
 def depth_entry(member: type[Compliance]) -> Entry:
     """Return the entry of a compliance at an address of `QUERY` numbers and its parameters."""
     Parameters, force = parameter_block(member), function_of(member, "force")

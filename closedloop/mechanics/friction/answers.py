@@ -4,13 +4,13 @@ An entry of a law has its numbers from where its loop has them, and calls what `
 """
 
 from collections.abc import Callable
-from functools import cache
 from typing import Any
 
 from closedloop.base.arrays import Array
 from closedloop.jit.kernel import kernel_inlined
 from closedloop.jit.user_code import function_of
 from closedloop.mechanics.friction.law import FrictionLaw, Slip
+from robot_models.cached import cached
 
 # What is asked: the rates of the states and their decay; c and w while it slides, or while a spring holds it; the
 # states `span` seconds later; the limit of sticking; the states where slip along `direction` has ended. A control law
@@ -18,7 +18,7 @@ from closedloop.mechanics.friction.law import FrictionLaw, Slip
 RATES, SLIDE, HOLD, ADVANCE_STATES, LIMIT, STICK = range(3, 9)
 
 
-@cache
+@cached
 def answers(member: type[FrictionLaw]) -> Callable[..., float]:
     """Return the function that asks a law for what its first argument says, and returns the limit, or 0.
 

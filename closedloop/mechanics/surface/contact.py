@@ -16,7 +16,6 @@ positive: there a ball of radius g does not fit into the hollow.
 """
 
 import math
-from functools import cache
 from typing import Annotated, NamedTuple
 
 import numpy as np
@@ -30,6 +29,7 @@ from closedloop.jit.user_code import RAISED, function_of, member_entry
 from closedloop.mechanics.surface.geometry import Pose, Touch, contact_geometry, into_surface_axes
 from closedloop.mechanics.surface.motion import Move, SurfaceMotion, begin_move, displace
 from closedloop.mechanics.surface.surface import Surface
+from robot_models.cached import cached
 
 # Newton steps at most, and the length of a step, m, that is rounding: relative to the distance from the origin too.
 MOST_NEAREST, STEP_ROUNDING = 50, 1e-15
@@ -263,7 +263,7 @@ def edge_distance(at: Array, bounds: Array, solid: Array) -> float:
     return float(min(bounds[0] - abs(at[0]), bounds[1] - abs(at[1])))
 
 
-@cache
+@cached
 def surface_entry(member: type[Surface]) -> Entry:
     """Return the entry of a surface, compiled when it is first needed.
 
@@ -308,7 +308,7 @@ def surface_entry(member: type[Surface]) -> Entry:
     return member_entry(entry, member)
 
 
-@cache
+@cached
 def motion_entry(member: type[SurfaceMotion]) -> Entry:
     """Return the entry of a motion, which writes the pose at the time that is asked for."""
     Parameters, move = parameter_block(member), function_of(member, "move")

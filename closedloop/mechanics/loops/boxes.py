@@ -45,7 +45,7 @@ def touch_boxes(p: BoxPair) -> tuple[int, float]:
 
     Where edges separate by less more than a face, or A's face by less more than B's, the first of these is taken: they
     are one direction then, but for rounding. Edges that do not cross are left out: faces that come down beside them
-    touch elsewhere.
+    touch elsewhere. Where there is no point the boxes are as far apart as along the best direction of all.
     """
     R, t, a, b, d = p.turn, p.middle, p.half_a, p.half_b, p.apart
     for i in range(3):
@@ -64,6 +64,7 @@ def touch_boxes(p: BoxPair) -> tuple[int, float]:
         apart = abs(along) - a[j] - b[0] * abs(R[0, j]) - b[1] * abs(R[1, j]) - b[2] * abs(R[2, j])
         if apart > best + slight:
             best, axis = apart, 3 + j
+    furthest = best
     for i in range(3):
         i1, i2 = (i + 1) % 3, (i + 2) % 3
         for j in range(3):
@@ -72,10 +73,12 @@ def touch_boxes(p: BoxPair) -> tuple[int, float]:
                 continue
             apart = abs(t[i2] * R[i1, j] - t[i1] * R[i2, j]) - b[i1] * abs(R[i2, j]) - b[i2] * abs(R[i1, j])
             apart = (apart - a[j1] * abs(R[i, j2]) - a[j2] * abs(R[i, j1])) / math.sqrt(square)
+            furthest = max(furthest, apart)
             if apart > best + slight and touch_edges(p, i, j, apart):
                 best, axis = apart, 6 + 3 * i + j
     if axis < 6:
-        return touch_face(p, axis % 3, axis >= 3, 0, -math.inf), best
+        count = touch_face(p, axis % 3, axis >= 3, 0, -math.inf)
+        return count, best if count > 0 else furthest
     touch_edges(p, (axis - 6) // 3, axis % 3, best)
     n, nearest, axis = p.frames[0, 0], MOST_OF, -1
     for k in range(6):

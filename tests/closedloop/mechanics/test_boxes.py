@@ -102,6 +102,25 @@ def test_edges_that_do_not_cross_are_no_contact():
     assert np.max(pair.gaps[:count]) > 5e-4
 
 
+def test_boxes_that_are_apart_have_gaps():
+    """No point is inside, and where there is none, as past the ends of edges, the boxes are as far apart as they are."""
+    seen = none = 0
+    for seed in range(1200):
+        rng, pair = np.random.default_rng(seed), BoxPair(np.zeros(BoxPair.count()))
+        pair.half_a[:], pair.half_b[:] = rng.uniform(0.02, 0.05, size=(2, 3))
+        pair.axes_a[:], pair.axes_b[:] = (turn_of(rng.normal(size=4)) for _ in range(2))
+        pair.apart[:] = 0.06 * rng.normal(size=3)
+        best = separation(pair.half_a, pair.axes_a, pair.half_b, pair.axes_b, pair.apart)
+        if not 0.0 < best < 0.01:
+            continue
+        count, apart = interpreted(touch_boxes)(pair)
+        seen, none = seen + 1, none + (count == 0)
+        assert np.all(pair.gaps[:count] > 0.0)
+        assert count > 0 or apart == pytest.approx(best, abs=1e-12)
+    assert seen > 50
+    assert none > 3
+
+
 def test_the_same_points_when_they_change_places():
     """Boxes in the other order have the opposite normal, the same separation, and as many points."""
     for seed in range(100):

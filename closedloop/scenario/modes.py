@@ -47,6 +47,7 @@ from closedloop.mechanics.integrators import ADAPTIVE, INTEGRATORS
 from closedloop.mechanics.loops.reactions import loop_rows
 from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.mechanics.surface.placed import PlacedSurface
+from closedloop.mechanics.surface.surface import Compliance
 from closedloop.scenario.arm import joint_friction_of, start_posture
 from closedloop.scenario.scenario import Scenario
 from closedloop.scenario.tables import patches_of
@@ -330,13 +331,13 @@ def motions_of_contacts(
     for soft in (False, True):
         K, D, most, key = np.zeros((n, n)), np.zeros((n, n)), 0.0, ""
         for k, along in rows.items():
-            section, load = sections[k], float(pressed.load[k])
-            if not (is_soft if soft else has_motion)(section):
+            load, law = float(pressed.load[k]), sections[k].compliance if soft else sections[k].friction_law
+            if law is None or not (is_soft if soft else has_motion)(sections[k]):
                 continue
-            if soft:
-                stiffness, damping = section.compliance.tangent(section.compliance.static_depth(load))
+            if isinstance(law, Compliance):
+                stiffness, damping = law.tangent(law.static_depth(load))
             else:
-                stiffness, damping = bristle(section.friction_law, surface_parameters(section.friction_law), load)
+                stiffness, damping = bristle(law, surface_parameters(law), load)
             acting = along[:1] if soft else along[1:]
             K, D = K + stiffness * acting.T @ acting, D + damping * acting.T @ acting
             fast = float(np.linalg.norm(acting @ mobility @ acting.T, 2))
@@ -344,7 +345,7 @@ def motions_of_contacts(
             which = max(rates, key=lambda name: rates[name])
             if rates[which] > most:
                 most = rates[which]
-                which = "viscous" if which == "damping" and not hasattr(section.friction_law, "damping") else which
+                which = "viscous" if which == "damping" and not hasattr(law, "damping") else which
                 key = f"contact.{names[k]}.{'compliance' if soft else f'friction_law.{which}'}"
         if most > 0.0:
             found.append((key, mobility @ K, mobility @ D))

@@ -295,7 +295,7 @@ class PlacedSurface:
 
     def _say_what_is_raised(self, memory: contact.SurfaceMemory, t: float, r: Array) -> None:
         """Ask a user's class again, interpreted, at a point r (3,), m, and an instant t, s; it may raise something."""
-        kinds = {
+        kinds: dict[str, tuple[Any, Any]] = {
             f"{self.where}.kind": (self.section, contact.surface_entry),
             f"{self.where}_motion.kind": (self.motion, contact.motion_entry),
         }

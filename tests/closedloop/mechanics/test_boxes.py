@@ -103,7 +103,7 @@ def test_edges_that_do_not_cross_are_no_contact():
 
 
 def test_boxes_that_are_apart_have_gaps():
-    """No point is inside, and where there is none, as past the ends of edges, the boxes are as far apart as they are."""
+    """No point is inside; where there is none, as past the ends of edges, the distance is that of the boxes."""
     seen = none = 0
     for seed in range(1200):
         rng, pair = np.random.default_rng(seed), BoxPair(np.zeros(BoxPair.count()))

@@ -39,7 +39,7 @@ from closedloop.simulation.prepare import prepare as prepare
 from closedloop.simulation.simulate import halve as halve
 from closedloop.simulation.simulate import simulate as simulate
 from closedloop.simulation.simulator import Simulator as Simulator
-from closedloop.simulation.state import StepState as StepState
+from closedloop.simulation.simulator import StepState as StepState
 from closedloop.studies.analysis.assembly import linearise as linearise
 from closedloop.studies.comparison.compare import compare as compare
 from closedloop.studies.comparison.compare import compare_log as compare_log

@@ -24,8 +24,7 @@ import numpy as np
 import closedloop as cl
 from closedloop.figures import STYLE
 from validation.measured.pressing.judging import swing_pole
-from validation.measured.pressing.machine import CONTACT, MACHINE, contact_time, scenario
-from validation.measured.pressing.touchdowns import Touchdown
+from validation.measured.pressing.machine import CONTACT, MACHINE, Touchdown, contact_time, scenario
 
 plt.rcParams.update(STYLE)
 plt.rcParams["figure.dpi"] = 100

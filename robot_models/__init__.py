@@ -6,10 +6,9 @@
 Importing this package imports no engine; `load` does.
 """
 
+from robot_models.described import shipped_names
 from robot_models.errors import ClosedLoopError, ModelError
 from robot_models.load import from_text, load
-from robot_models.model import RobotModel
-from robot_models.shipped import shipped_names
-from robot_models.tool import Tool
+from robot_models.model import RobotModel, Tool
 
 __all__ = ["ClosedLoopError", "ModelError", "RobotModel", "Tool", "from_text", "load", "shipped_names"]

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_models import urdf, urdf_mechanism
+from robot_models import urdf
 from robot_models.coordinates import BALL, RATES, free_joints, separated
 from robot_models.errors import ModelError
 from robot_models.mechanism import Array, Link, Weight, displaced, lumped
@@ -209,9 +209,7 @@ def build(text: str, format: str, locked: Mapping[str, float], where: str) -> Bu
 
     kinds = urdf.joint_types(text) if format == "urdf" else {}
     try:
-        model = (
-            pin.buildModelFromXML(urdf_mechanism.for_pinocchio(text)) if format == "urdf" else _of_mjcf(text, {}, where)
-        )
+        model = pin.buildModelFromXML(urdf.for_pinocchio(text)) if format == "urdf" else _of_mjcf(text, {}, where)
     except ModelError:
         raise
     except (ValueError, RuntimeError) as error:
@@ -253,10 +251,10 @@ def build(text: str, format: str, locked: Mapping[str, float], where: str) -> Bu
         kinds = mjcf_joint_types(model)
     for side in ("lowerPositionLimit", "upperPositionLimit", "velocityLimit", "effortLimit"):
         bound = np.array(getattr(model, side))
-        bound = np.where(np.abs(bound) >= urdf_mechanism.NO_BOUND, np.copysign(np.inf, bound), bound)
+        bound = np.where(np.abs(bound) >= urdf.NO_BOUND, np.copysign(np.inf, bound), bound)
         setattr(model, side, bound)
     if format == "urdf":
-        links = urdf_mechanism.mechanism(text)
+        links = urdf.mechanism(text)
         check_sizes(links, where)
         check_built(model, links, locked, where)
         _name_apart(model)
@@ -304,7 +302,9 @@ def mjcf_joint_types(model: "pin.Model") -> dict[str, str]:
 
 
 def _of_mjcf(text: str, locked: Mapping[str, float], where: str) -> "pin.Model":
-    from robot_models.mjcf import compiled  # here: they import MuJoCo
-    from robot_models.mjcf_tree import pinocchio_model
+    from robot_models.mjcf import (
+        compiled,  # here: they import MuJoCo
+        pinocchio_model,
+    )
 
     return pinocchio_model(compiled(text, where), locked, where)

@@ -1,10 +1,11 @@
-"""A robot by its name or its file: its canonical text, and what is known beside it.
+"""A robot by its name or its file: its canonical text, what is known beside it, and what of it does not act.
 
 The inspection reads a URDF through yourdfpy, whose import alone costs half a second. The descriptions in `PASSED`
 were inspected when they were added, a test inspects them again, and a file that differs in one byte is a
 stranger. Files of users are not listed and are inspected at every start.
 """
 
+import xml.etree.ElementTree as ET
 from collections.abc import Collection
 from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
@@ -12,11 +13,32 @@ from hashlib import sha256
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from robot_models import example_robots, shipped, urdf
+import numpy as np
+from numpy.typing import NDArray
+
+from robot_models import example_robots, urdf
 from robot_models.errors import ModelError
 from robot_models.sidecar import Sidecar, read_sidecar
-from robot_models.urdf_mechanism import Beside, read_beside
+from robot_models.urdf import Beside, read_beside
 from robot_models.xml_text import parse, read_text
+
+_HERE = Path(__file__).parent
+
+_NAMES = (
+    "wam4", "wam7", "planar2", "pointmass3", "four_bar", "five_bar", "delta", "stewart", "two_arms", "gripper",
+    "peg_gantry", "fr3",
+)  # fmt: skip
+
+
+def shipped_names() -> tuple[str, ...]:
+    """Return the names of the robots that come with the package."""
+    return _NAMES
+
+
+def path_of(name: str) -> Path:
+    """Return where the URDF of a shipped robot lies."""
+    return _HERE / name / f"{name}.urdf"
+
 
 if TYPE_CHECKING:
     from os import PathLike
@@ -45,14 +67,14 @@ def find(name: "str | PathLike[str]", mocap: Collection[str] = ()) -> Descriptio
 
     Raises `ModelError` if there is no such robot, or its text is at fault.
     """
-    if name in shipped.shipped_names():
-        return _from_file(str(name), shipped.path_of(str(name)), "robot_models")
+    if name in shipped_names():
+        return _from_file(str(name), path_of(str(name)), "robot_models")
     if names_a_file(name):
         path = Path(name)
         return _from_file(path.stem, path, "", mocap)
     assert isinstance(name, str)
     if name not in example_robots.example_names():
-        known = (*shipped.shipped_names(), *example_robots.example_names())
+        known = (*shipped_names(), *example_robots.example_names())
         near = get_close_matches(name.lower(), known, n=3)
         hint = (
             f"did you mean {' or '.join(map(repr, near))}?"
@@ -162,15 +184,9 @@ PASSED: dict[str, tuple[str, ...]] = {
     # kinova
     "a9a0a8a1a21b82419b15293fca47b8a35c57e7200eaf1e39dadb6bfd7e44eabb": (),
     # panda
-    "63792d2679f22c4e41cda2c4d9d903644e628970ad0656b9eec8485113941555": (
-        "panda_finger_joint1",
-        "panda_finger_joint2",
-    ),
+    "63792d2679f22c4e41cda2c4d9d903644e628970ad0656b9eec8485113941555": ("panda_finger_joint1", "panda_finger_joint2"),
     # panda_collision
-    "582aea6f0dda13e6dca083a9f6776efc31c4782ecadbc92c1c5a586647368808": (
-        "panda_finger_joint1",
-        "panda_finger_joint2",
-    ),
+    "582aea6f0dda13e6dca083a9f6776efc31c4782ecadbc92c1c5a586647368808": ("panda_finger_joint1", "panda_finger_joint2"),
     # ur10
     "16e4d9c85f01d2533fa219d28e2e5a2ce93836be7afaf243b46be4ba76e0d4ea": (),
     # ur10_limited
@@ -202,3 +218,49 @@ def has_passed(text: str, locked: Collection[str]) -> bool:
     """
     passed = PASSED.get(digest(text))
     return passed is not None and set(passed) <= set(locked)
+
+
+def notes(
+    text: str, format: str, joints: Collection[str], velocity_limit: NDArray[np.float64],
+    effort_limit: NDArray[np.float64],
+) -> tuple[str, ...]:  # fmt: skip
+    """Return what a reader of a run should know about its robot.
+
+    text, format: the canonical text, and "urdf" or "mjcf"
+    joints: those that move
+    velocity_limit, effort_limit: (n,), rad/s and N m; infinite where there is none
+    """
+    root = ET.fromstring(text)
+    both = (*root.iter("joint"), *root.iter("fixed"))
+    rubbing = {each.get("name", "") for each in both if each.get("damping") or each.get("frictionloss")}
+    found = _rough_urdf(root) if format == "urdf" else rubbing
+    tendons = [each.get("name", "") for each in root.iter("fixed")]
+    rough = [name for name in (*joints, *tendons) if name in found]
+    lines = []
+    if rough:
+        element = "<dynamics>" if format == "urdf" else "damping and frictionloss"
+        lines.append(
+            f"what the robot's file says of friction ({element}; {_some(rough)}) does not act: "
+            "friction is what the scenario says"
+        )
+    limits = [w for w, b in (("effort", effort_limit), ("velocity", velocity_limit)) if np.isfinite(b).any()]
+    if limits:
+        named = " and ".join(limits)
+        lines.append(
+            f"{named} limits of the robot's file do not act on the motion; the verdict names joints that exceed them"
+        )
+    return tuple(lines)
+
+
+def _rough_urdf(root: ET.Element) -> set[str]:
+    rough = set()
+    for joint in root.findall("joint"):
+        dynamics = joint.find("dynamics")
+        values = [dynamics.get(key, "0") for key in ("damping", "friction")] if dynamics is not None else []
+        if any(float(value) for value in values):
+            rough.add(joint.get("name", ""))
+    return rough
+
+
+def _some(names: list[str]) -> str:
+    return ", ".join(names[:4]) + (f" and {len(names) - 4} more" if len(names) > 4 else "")

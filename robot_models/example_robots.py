@@ -53,10 +53,7 @@ def _ur(name: str) -> _Known:
     return _Known(tip="tool0", home=dict(zip(joints, values, strict=True)), description=f"Universal Robots {name}")
 
 
-_UR = (
-    *("ur3", "ur3_gripper", "ur3_limited", "ur5", "ur5_gripper", "ur5_limited"),
-    *("ur10", "ur10_limited"),
-)
+_UR = (*("ur3", "ur3_gripper", "ur3_limited", "ur5", "ur5_gripper", "ur5_limited"), *("ur10", "ur10_limited"))
 
 _KNOWN = {
     "panda": _PANDA,

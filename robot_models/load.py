@@ -10,22 +10,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from robot_models import build, described, notes, physics, urdf
-from robot_models.coordinates import (
-    PARTS,
-    RATES,
-    balls,
-    coordinate_names,
-    in_pinocchios_order,
-    normalised,
-)
+from robot_models import build, described, physics, urdf
+from robot_models.coordinates import PARTS, RATES, balls, coordinate_names, in_pinocchios_order, normalised
 from robot_models.described import Description, Format, canonical, find, joint_names, names_a_file
 from robot_models.errors import ModelError
 from robot_models.loop_coordinate import place_coordinates, stands_for, with_coordinates
 from robot_models.loop_joint import LoopJoint, check_loops, loop_joint, without
-from robot_models.model import RobotModel
+from robot_models.model import RobotModel, default_tip
 from robot_models.sidecar import Sidecar
-from robot_models.tool import default_tip
 
 if TYPE_CHECKING:
     from os import PathLike
@@ -101,21 +93,10 @@ def _load(name: "str | PathLike[str]", drive_inertia: bool, lock: Lock, mocap: C
 
 @np.errstate(all="ignore")  # what overflows is refused by name
 def from_text(
-    text: str,
-    format: Format,
-    *,
-    name: str,
-    armature: ArrayLike,
-    tip: str | None,
-    home: ArrayLike,
-    locked: Mapping[str, float],
-    gravity: ArrayLike | None = None,
-    description: str = "",
-    source: str = "",
-    loops: Sequence[Mapping[str, object]] = (),
-    drives: Sequence[str] = (),
-    undriven: bool = False,
-) -> RobotModel:
+    text: str, format: Format, *, name: str, armature: ArrayLike, tip: str | None, home: ArrayLike,
+    locked: Mapping[str, float], gravity: ArrayLike | None = None, description: str = "", source: str = "",
+    loops: Sequence[Mapping[str, object]] = (), drives: Sequence[str] = (), undriven: bool = False,
+) -> RobotModel:  # fmt: skip
     """Rebuild a robot from the text that a run stored, without reading a file.
 
     Its dynamics are the same to the last bit. The text is checked in the same way as a file.
@@ -286,14 +267,6 @@ def _frames(model: "pin.Model") -> tuple[str, ...]:
     return tuple(name for name in named if times[name] == 1)
 
 
-def _drives(sidecar: Sidecar, joints: tuple[str, ...]) -> tuple[str, ...] | None:
-    """Return the joints with a drive, None if all: a loop joint that is a joint of the tree has none unless named."""
-    made = stands_for(sidecar.closed_loop)
-    if sidecar.drives is None and made:
-        return tuple(joint for joint in joints if joint not in made)
-    return sidecar.drives
-
-
 def _vector(value: ArrayLike, n: int, what: str) -> NDArray[np.float64]:
     try:
         vector = np.array(value, dtype=np.float64)
@@ -305,13 +278,9 @@ def _vector(value: ArrayLike, n: int, what: str) -> NDArray[np.float64]:
 
 
 def _finish(
-    built: build.Built,
-    home: NDArray[np.float64],
-    found: Description,
-    locked: Mapping[str, float],
-    tip: str | None,
+    built: build.Built, home: NDArray[np.float64], found: Description, locked: Mapping[str, float], tip: str | None,
     gravity: NDArray[np.float64] | None,
-) -> RobotModel:
+) -> RobotModel:  # fmt: skip
     """Check the mechanism that was built and write it down."""
     model = built.model
     if gravity is None:
@@ -321,30 +290,18 @@ def _finish(
     if model.nv:
         physics.check_mechanism(model, in_pinocchios_order(home, built.joint_types), found.where)
     joints, (lower, upper) = built.joint_names, built.limits
-    own = [joint for joint in joints if joint not in stands_for(found.sidecar.closed_loop)]
+    made, drives = stands_for(found.sidecar.closed_loop), found.sidecar.drives
+    own = [joint for joint in joints if joint not in made]
+    if drives is None and made:  # a loop joint that is a joint of the tree has no drive unless named
+        drives = tuple(own)
     robot = RobotModel(
-        name=found.name,
-        format=found.format,
-        text=found.text,
-        joint_names=joints,
-        armature=model.armature,
-        position_lower=lower,
-        position_upper=upper,
-        velocity_limit=model.velocityLimit,
-        effort_limit=model.effortLimit,
-        joint_types=built.joint_types,
-        tip=tip,
-        frames=_frames(model),
-        home=home,
-        locked=locked,
-        gravity=gravity,
-        description=found.sidecar.description,
-        source=found.sidecar.source,
-        notes=notes.notes(found.text, found.format, own, model.velocityLimit, model.effortLimit),
-        loops=found.sidecar.closed_loop,
-        drives=_drives(found.sidecar, joints),
-        warnings=found.warnings,
-    )
+        name=found.name, format=found.format, text=found.text, joint_names=joints, armature=model.armature,
+        position_lower=lower, position_upper=upper, velocity_limit=model.velocityLimit, effort_limit=model.effortLimit,
+        joint_types=built.joint_types, tip=tip, frames=_frames(model), home=home, locked=locked, gravity=gravity,
+        description=found.sidecar.description, source=found.sidecar.source,
+        notes=described.notes(found.text, found.format, own, model.velocityLimit, model.effortLimit),
+        loops=found.sidecar.closed_loop, drives=drives, warnings=found.warnings,
+    )  # fmt: skip
     check_loops(robot.loops, robot.drives or (), robot.frames, joints, found.sidecar.where or found.where)
     if tip is not None:
         robot.require_frame(tip)

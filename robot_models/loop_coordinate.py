@@ -20,7 +20,7 @@ from robot_models.errors import ModelError
 from robot_models.loop_joint import FREE, WORLD, LoopJoint
 from robot_models.mechanism import Array, Link, Weight, lumped, turned
 from robot_models.physics import LEAST_INERTIA
-from robot_models.urdf_mechanism import NO_BOUND, mechanism
+from robot_models.urdf import NO_BOUND, mechanism
 
 if TYPE_CHECKING:
     import pinocchio as pin

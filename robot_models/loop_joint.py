@@ -55,14 +55,10 @@ Vector = tuple[float, ...]
 #: Axes along which, and pairs of axes about which, a type binds: of x, y, z with z its axis. A pair (i, j) keeps axis i
 #: of the second side perpendicular to axis j of the first.
 BINDS: dict[str, tuple[tuple[int, ...], tuple[tuple[int, int], ...]]] = {
-    "point": ((0, 1, 2), ()),
-    "hinge": ((0, 1, 2), ((0, 2), (1, 2))),
-    "slider": ((0, 1), ((0, 1), (1, 2), (2, 0))),
-    "cylinder": ((0, 1), ((0, 2), (1, 2))),
-    "universal": ((0, 1, 2), ((2, 2),)),
-    "planar": ((2,), ((0, 2), (1, 2))),
+    "point": ((0, 1, 2), ()), "hinge": ((0, 1, 2), ((0, 2), (1, 2))), "slider": ((0, 1), ((0, 1), (1, 2), (2, 0))),
+    "cylinder": ((0, 1), ((0, 2), (1, 2))), "universal": ((0, 1, 2), ((2, 2),)), "planar": ((2,), ((0, 2), (1, 2))),
     "weld": ((0, 1, 2), ((0, 1), (1, 2), (2, 0))),
-}
+}  # fmt: skip
 #: Rows that each type takes.
 ROWS = {kind: len(along) + len(about) for kind, (along, about) in BINDS.items()} | {"distance": 1, "gear": 1}
 #: Other names of types.

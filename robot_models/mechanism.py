@@ -22,7 +22,7 @@ MAX_JOINTS = 128
 MAX_LINKS = 2000
 
 
-def check_size(links: int, joints: int, where: str) -> None:
+def check_count(links: int, joints: int, where: str) -> None:
     """Refuse a mechanism beyond the bounds, before anything that takes long or much memory.
 
     Raises `ModelError` if there are more links than `MAX_LINKS`, or more joints that move than `MAX_JOINTS`.
@@ -105,10 +105,9 @@ def displaced(link: Link, value: float) -> Array:
 
 
 def lumped(weights: list[Weight], poses: list[Array]) -> Weight:
-    """Return the weight of links held together.
+    """Return the weight of links held together, of their weights and poses (4, 4), in the frame of these.
 
-    weights, poses: of each link, and (4, 4) where it is
-    It is in the frame of the poses. Without mass the centre is the origin.
+    Without mass the centre is the origin.
     """
     mass = sum(weight.mass for weight in weights)
     centres = [pose[:3, :3] @ weight.centre + pose[:3, 3] for weight, pose in zip(weights, poses, strict=True)]

@@ -1,4 +1,4 @@
-"""MJCF as MuJoCo's own compiler reads it, and as a plain text that holds the mechanism and nothing else.
+"""MJCF as MuJoCo's own compiler reads it, as a plain text that holds the mechanism, and as Pinocchio's model.
 
 A file is compiled with its includes, classes, frames, replicas and attached models, and everything is taken from the
 compiled model. Its plain text has bodies, joints, inertias, sites and shapes with all numbers written out. It stands by
@@ -6,32 +6,28 @@ itself, and MuJoCo compiles it to the same mechanism to the last bit. What coupl
 beside the text (`robot_models.mjcf_coupling`).
 
 What does no work is left out with a warning. What would change the motion and cannot be simulated is refused by name.
+
+In Pinocchio's model bodies that are fixed to each other share a joint's link, and each keeps its frame. Several joints
+of one body follow each other, with nothing between them. A hinge's position is MuJoCo's: at its `ref` the body is as it
+is written.
 """
 
 import xml.etree.ElementTree as ET
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from robot_models import mjcf_coupling as coupling
 from robot_models.collision import HULL, MOST_CORNERS
 from robot_models.coordinates import PARTS, PLACES
 from robot_models.errors import ModelError, warnings_heard
 from robot_models.loop_joint import LoopJoint
-from robot_models.mechanism import Array, check_size
-from robot_models.mjcf_coupling import (
-    AT_JOINT,
-    AT_TENDON,
-    couplings,
-    drives,
-    pulled_tendons,
-    rotation,
-    tendon_joints,
-    torque_limits,
-)
+from robot_models.mechanism import Array, check_count
+from robot_models.physics import check_size
 from robot_models.xml_text import parse, read_text, tidy
 
 #: Names of the kinds of joints and of geoms, by MuJoCo's numbers.
@@ -91,7 +87,7 @@ def read(text: str, where: str, path: Path | None, mocap: Collection[str] = ()) 
     _check(model, names, where)
     warnings += unread + _left_out(model, names)
     joints = names.joint
-    limits = torque_limits(model)
+    limits = coupling.torque_limits(model)
     plain = ET.Element("mujoco", model=root.get("model") or "model")
     ET.SubElement(plain, "compiler", angle="radian", inertiafromgeom="false", autolimits="true")
     ET.SubElement(plain, "option", gravity=_words(_gravity(model)))
@@ -105,14 +101,11 @@ def read(text: str, where: str, path: Path | None, mocap: Collection[str] = ()) 
     _write_hulls(plain, model, names)
     _write_tendons(plain, model, names)
     _write_drives(plain, model, names)
-    loops, more = couplings(model, names, where, mocap)
+    loops, more = coupling.couplings(model, names, where, mocap)
     return Mjcf(
-        ET.tostring(plain, encoding="unicode"),
-        _home(model, joints),
-        loops,
-        drives(model, joints),
+        ET.tostring(plain, encoding="unicode"), _home(model, joints), loops, coupling.drives(model, joints),
         list(dict.fromkeys(warnings + more)),
-    )
+    )  # fmt: skip
 
 
 #: Files that one model may include.
@@ -268,17 +261,13 @@ def joint_types(text: str) -> Iterator[tuple[str, str]]:
         yield element.attrib["name"], element.attrib["type"]
 
 
-def position_names(joint: str, kind: str) -> list[str]:
-    """Return the names of the positions of a joint in MuJoCo's order, see `coordinates`."""
-    return [joint + end for end in {"free": (*PLACES, *PARTS), "ball": PARTS}.get(kind, ("",))]
-
-
 def _home(model: Any, joints: list[str]) -> dict[str, float]:
     """Return a posture by the names of its coordinates."""
     keys = [model.key(k) for k in range(model.nkey)]
     keys.sort(key=lambda key: key.name != "home")
     posture = keys[0].qpos if keys else model.qpos0
-    named = [name for j, joint in enumerate(joints) for name in position_names(joint, JOINTS[model.jnt_type[j]])]
+    ends = {"free": (*PLACES, *PARTS), "ball": PARTS}  # of the positions of a joint, see `coordinates`
+    named = [name + end for j, name in enumerate(joints) for end in ends.get(JOINTS[model.jnt_type[j]], ("",))]
     return dict(zip(named, np.asarray(posture).tolist(), strict=True))
 
 
@@ -338,7 +327,7 @@ def _write_hulls(plain: ET.Element, model: Any, names: Names) -> None:
         corners = _hull(model, g)
         if corners:
             count += 1
-            turn = rotation(model.geom_quat[g])
+            turn = coupling.rotation(model.geom_quat[g])
             placed = model.geom_pos[g] + model.mesh_vert[corners].astype(float) @ turn.T
             body = names.body[int(model.geom_bodyid[g])]
             numbers = [*model.geom_rgba[g][:3].astype(float).round(7), *placed.round(9).ravel()]
@@ -360,7 +349,7 @@ def _hull(model: Any, g: int) -> list[int]:
 
 def _write_tendons(plain: ET.Element, model: Any, names: Names) -> None:
     """Write the fixed tendons along which something acts, or by which a drive pulls several joints."""
-    made, pulled = ET.Element("tendon"), pulled_tendons(model)
+    made, pulled = ET.Element("tendon"), coupling.pulled_tendons(model)
     for t in range(model.ntendon):
         given = _three("stiffness", model.tendon_stiffness[t], model.tendon_stiffnesspoly[t])
         if given:
@@ -370,7 +359,7 @@ def _write_tendons(plain: ET.Element, model: Any, names: Names) -> None:
         given |= _rough(model.tendon_damping[t], model.tendon_dampingpoly[t], model.tendon_frictionloss[t])
         if model.tendon_limited[t]:
             given["range"] = _words(model.tendon_range[t])
-        joints = tendon_joints(model, t)
+        joints = coupling.tendon_joints(model, t)
         if joints and (given or t in pulled):
             element = ET.SubElement(made, "fixed", {"name": names.tendon[t], **given})
             for joint, coefficient in joints:
@@ -381,15 +370,15 @@ def _write_tendons(plain: ET.Element, model: Any, names: Names) -> None:
 
 def _write_drives(plain: ET.Element, model: Any, names: Names) -> None:
     """Write what the drives pull, if one of them pulls several joints with one force."""
-    if not pulled_tendons(model):
+    if not coupling.pulled_tendons(model):
         return
     made = ET.SubElement(plain, "actuator")
     for a in range(model.nu):
         kind, target = int(model.actuator_trntype[a]), int(model.actuator_trnid[a][0])
         gear = {"gear": _word(model.actuator_gear[a][0])}
-        if kind == AT_TENDON:
+        if kind == coupling.AT_TENDON:
             ET.SubElement(made, "motor", {"tendon": names.tendon[target], **gear})
-        elif kind in AT_JOINT and JOINTS[model.jnt_type[target]] not in ONE_BY_ONE:
+        elif kind in coupling.AT_JOINT and JOINTS[model.jnt_type[target]] not in ONE_BY_ONE:
             ET.SubElement(made, "motor", {"joint": names.joint[target], **gear})
 
 
@@ -415,7 +404,7 @@ def _words(vector: Any) -> str:
 def _check(model: Any, names: Names, where: str) -> None:
     """Refuse what would change the motion and is not simulated."""
     kinds = [JOINTS[kind] for kind in model.jnt_type]
-    check_size(model.nbody - 1 + model.nsite, sum(ONE_BY_ONE.get(kind, 1) for kind in kinds), where)
+    check_count(model.nbody - 1 + model.nsite, sum(ONE_BY_ONE.get(kind, 1) for kind in kinds), where)
     for kind, keys in _NUMBERS.items():
         for key in keys:
             values = np.asarray(getattr(model, f"{kind}_{key}"), dtype=np.float64)
@@ -487,3 +476,111 @@ def _left_out(model: Any, names: Names) -> list[str]:
 
 def _some(names: list[str]) -> str:
     return ", ".join(names[:4]) + (f" and {len(names) - 4} more" if len(names) > 4 else "")
+
+
+if TYPE_CHECKING:
+    import pinocchio as pin
+
+
+def pinocchio_model(model: Any, locked: Mapping[str, float], where: str) -> "pin.Model":
+    """Return Pinocchio's model of a compiled plain text, with some joints held where they are said to be.
+
+    Its velocities are in the order of MuJoCo's; the armature is the text's.
+
+    Raises `ModelError` if a number is so large that products of it might be none; `where` names the text.
+    """
+    import pinocchio as pin
+
+    names, out = Names(model), pin.Model()
+    out.gravity.linear = np.array(model.opt.gravity)
+    frames = {*names.body, *names.site}
+    armature: list[float] = []
+    bodies: dict[int, tuple[int, pin.SE3, int]] = {0: (0, pin.SE3.Identity(), 0)}  # joint, place in it, frame
+
+    def add_frame(name: str, joint: int, place: "pin.SE3", above: int, kind: "pin.FrameType") -> int:
+        return int(out.addFrame(pin.Frame(name, joint, above, place, kind), False))
+
+    for b in range(model.nbody):
+        if b:
+            at_body = f"{where}: body {names.body[b]!r}"
+            check_size("origin", model.body_pos[b], at_body)
+            check_size("mass", model.body_mass[b], at_body)
+            check_size("centre of mass", model.body_ipos[b], at_body)
+            check_size("inertia tensor", model.body_inertia[b], at_body)
+            joint, place, above = bodies[int(model.body_parentid[b])]
+            place = place * _pose(model.body_pos[b], model.body_quat[b])
+            first = int(model.body_jntadr[b])
+            for j in range(first, first + int(model.body_jntnum[b])):
+                name, kind = names.joint[j], JOINTS[model.jnt_type[j]]
+                at = pin.SE3(np.eye(3), np.array(model.jnt_pos[j]))
+                if kind in ("free", "ball") and name in locked:
+                    continue
+                if kind in ("slide", "hinge"):
+                    ref = float(model.qpos0[model.jnt_qposadr[j]])
+                    if name in locked:
+                        place = place * at * _moved(kind, model.jnt_axis[j], locked[name] - ref) * at.inverse()
+                        continue
+                    at = at * _moved(kind, model.jnt_axis[j], -ref) if ref else at
+                what, start = _joint(kind, np.array(model.jnt_axis[j])), pin.SE3.Identity()
+                if kind != "free":
+                    start, back = place * at, pin.SE3(np.eye(3), -np.array(model.jnt_pos[j]))
+                joint = int(out.addJoint(joint, what, start, name, *_limits(model, j, kind)))
+                place = pin.SE3.Identity() if kind == "free" else back
+                v = int(model.jnt_dofadr[j])
+                check_size("armature", model.dof_armature[v], f"{where}: joint {name!r}")
+                armature += [float(x) for x in model.dof_armature[v : v + out.nvs[joint]]]
+                shown = name if name not in frames else f"{name} joint"
+                above = add_frame(shown, joint, pin.SE3.Identity(), above, pin.FrameType.JOINT)
+            if model.body_mass[b] > 0.0:
+                turn = coupling.rotation(model.body_iquat[b])
+                tensor = turn @ np.diag(model.body_inertia[b]) @ turn.T
+                inertia = pin.Inertia(float(model.body_mass[b]), np.array(model.body_ipos[b]), tensor)
+                out.appendBodyToJoint(joint, inertia, place)
+            bodies[b] = joint, place, add_frame(names.body[b], joint, place, above, pin.FrameType.BODY)
+        joint, place, above = bodies[b]
+        for s in np.flatnonzero(model.site_bodyid == b):
+            there = place * _pose(model.site_pos[s], model.site_quat[s])
+            add_frame(names.site[s], joint, there, above, pin.FrameType.OP_FRAME)
+    out.armature = np.array(armature)
+    return out
+
+
+def _pose(position: Array, quaternion: Array) -> "pin.SE3":
+    import pinocchio as pin
+
+    return pin.SE3(coupling.rotation(quaternion), np.array(position))
+
+
+def _moved(kind: str, axis: Array, value: float) -> "pin.SE3":
+    """Return the motion of a joint by a value, rad (m), in axes that the joint does not turn."""
+    import pinocchio as pin
+
+    if kind == "slide":
+        return pin.SE3(np.eye(3), value * np.array(axis))
+    return pin.SE3(pin.AngleAxis(value, np.array(axis)).toRotationMatrix(), np.zeros(3))
+
+
+def _joint(kind: str, axis: Array) -> Any:
+    """Return Pinocchio's joint of a kind; about or along an axis of its frame it is one that need not be told it."""
+    import pinocchio as pin
+
+    if kind == "free":
+        return pin.JointModelFreeFlyer()
+    if kind == "ball":
+        return pin.JointModelSpherical()
+    for k, plain in enumerate("XYZ"):
+        if np.array_equal(axis, np.eye(3)[k]):
+            return getattr(pin, f"JointModel{'P' if kind == 'slide' else 'R'}{plain}")()
+    return pin.JointModelPrismaticUnaligned(axis) if kind == "slide" else pin.JointModelRevoluteUnaligned(axis)
+
+
+def _limits(model: Any, j: int, kind: str) -> tuple[Array, Array, Array, Array]:
+    """Return effort, velocity, lower and upper limit of a joint as Pinocchio has them; infinite where there is none."""
+    n, m = {"free": (6, 7), "ball": (3, 4)}.get(kind, (1, 1))
+    effort, low, high = np.full(n, np.inf), np.full(m, -np.inf), np.full(m, np.inf)
+    if n == 1:
+        if model.jnt_limited[j]:
+            low[0], high[0] = model.jnt_range[j]
+        if model.jnt_actfrclimited[j]:
+            effort[0] = model.jnt_actfrcrange[j][1]
+    return effort, np.full(n, np.inf), low, high

@@ -18,10 +18,9 @@ if TYPE_CHECKING:
 
     from robot_models.mechanism import Link
 
-#: A tensor printed with four significant digits is off by at most 5e-4 of its largest entry per entry, and
-#: a thin rod or plate lies exactly on the bound λ₁ + λ₂ = λ₃. One part in a thousand of λ₃ forgives that
-#: rounding. No robot of example-robot-data lies between: those that break the inequality do so by 9 % of λ₃
-#: or more.
+#: A tensor printed with four significant digits is off by at most 5e-4 of its largest entry per entry, and a thin rod
+#: or plate lies exactly on the bound λ₁ + λ₂ = λ₃. One part in a thousand of λ₃ forgives that rounding. No robot of
+#: example-robot-data lies between: those that break the inequality do so by 9 % of λ₃ or more.
 ROUNDING = 1e-3
 
 #: A body smaller than this, m, is a point: moments below mass × length² are noise of a CAD export.
@@ -82,11 +81,8 @@ MOST = {
 
 
 def check_size(what: str, value: ArrayLike, owner: str) -> None:
-    """Refuse numbers beyond `MOST`, whose products might be none.
+    """Refuse a number, or an array with one, beyond `MOST[what]`, whose products might be none, and say whose it is.
 
-    what: a key of `MOST`
-    value: a number, or an array of them
-    owner: how to name their owner in a message
     Raises `ModelError` if one is larger, or is none.
     """
     most, unit, why = MOST[what]

@@ -8,7 +8,7 @@ The laws are of the recorded rows alone, with the tensor I and the radius that t
 
 import tempfile
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -171,14 +171,6 @@ def _in_base(q: Array, v: Array) -> Array:
     return found
 
 
-def _no_gyroscopic(v: Array, C: Array) -> None:
-    C[3:6] = 0.0
-
-
-def _gyroscopic_sign(v: Array, C: Array) -> None:
-    C[3:6] *= -1.0
-
-
 def _wider(arm: str) -> Callable[[Any], None]:
     def spoil(contacts: Any) -> None:
         turns = contacts.friction.resistance
@@ -187,21 +179,13 @@ def _wider(arm: str) -> Callable[[Any], None]:
     return spoil
 
 
-def _in_base_axes(rows: Rows) -> Rows:
-    return Rows(rows.time, rows.q, _in_base(rows.q, rows.v), rows.a, rows.rolled)
-
-
-def _conjugated(rows: Rows) -> Rows:
-    q = rows.q.copy()
-    q[:, 4:] *= -1.0
-    return Rows(rows.time, q, rows.v, rows.a, rows.rolled)
-
-
 FAULTS = (
-    Fault("the gyroscopic torque is left out", bias=_no_gyroscopic),
-    Fault("the gyroscopic torque has the other sign", bias=_gyroscopic_sign),
-    Fault("the angular velocity is in base axes", answer=_in_base_axes),
-    Fault("the quaternion is that of the inverse", answer=_conjugated),
+    Fault("the gyroscopic torque is left out", bias=lambda v, C: np.copyto(C[3:6], 0.0)),
+    Fault("the gyroscopic torque has the other sign", bias=lambda v, C: np.copyto(C[3:6], -C[3:6])),
+    Fault("the angular velocity is in base axes", answer=lambda rows: replace(rows, v=_in_base(rows.q, rows.v))),
+    Fault(
+        "the quaternion is that of the inverse", answer=lambda rows: replace(rows, q=rows.q * [1, 1, 1, 1, -1, -1, -1])
+    ),
     Fault("resistance to rolling +0.1 %", spoil=_wider("rolling")),
     Fault("resistance to pivoting +0.1 %", spoil=_wider("pivoting")),
 )

@@ -85,16 +85,10 @@ MOST_STATES = {"symbolic": 50, "exudyn": 50, "robotics toolbox": 20}
 
 
 def compare(
-    robot: Any,
-    tip: str | None = None,
-    *,
-    states: int | Sequence[int] = 1000,
-    seed: int = 0,
-    engines: Sequence[type[Engine]] = (),
-    built: Iterable[Engine | Missing | Refused] | None = None,
-    judge: str = "oracle",
-    label: str | None = None,
-) -> Comparison:
+    robot: Any, tip: str | None = None, *, states: int | Sequence[int] = 1000, seed: int = 0,
+    engines: Sequence[type[Engine]] = (), built: Iterable[Engine | Missing | Refused] | None = None,
+    judge: str = "oracle", label: str | None = None,
+) -> Comparison:  # fmt: skip
     """Compare all engines on one robot.
 
     robot: a name or path for `robot_models.load`, or a model
@@ -211,7 +205,8 @@ def _worst(
             absolute = _difference(answer.get(name), truth.values[name])
             scale, bound = truth.scales[name], truth.bounds[name]
             relative = absolute / scale if scale > 0.0 else (0.0 if absolute == 0.0 else np.inf)
-            bound = max(bound, engine_bound(engine, name))
+            own = engine.tolerances.get(QUANTITIES[name])  # what the engine's own file says of its accuracy
+            bound = max(bound, own.value if own else 0.0)
             margin = relative / bound
             if name not in worst or margin > worst[name].margin:
                 status = "agrees" if margin <= 1.0 else "disagrees"
@@ -230,9 +225,3 @@ def _difference(x: Array | None, y: Array) -> float:
     if x is None or x.shape != y.shape or not np.all(np.isfinite(x)):
         return np.inf
     return size_of(x - y)
-
-
-def engine_bound(engine: Engine, quantity: str) -> float:
-    """Return what the engine's own file says of its accuracy in a quantity; 0 if it claims rounding."""
-    own = engine.tolerances.get(QUANTITIES[quantity])
-    return own.value if own else 0.0

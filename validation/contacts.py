@@ -124,19 +124,14 @@ def _no_normal(memory: ContactMemory) -> None:
     c.X[0], c.u[0] = 0.0, 0.0
 
 
-def _lighter(memory: ContactMemory) -> None:
-    memory.contacts.X[0] *= 1.001
+def _rubbed(factor: float) -> Callable[[Answer, ContactMemory], Answer]:
+    """Return a fault: tangential impulses times a factor."""
 
+    def answer(answer: Answer, memory: ContactMemory) -> Answer:
+        c, P = memory.contacts, answer.P * [1.0, factor, factor]
+        return Answer(P, np.array(c.u + c.X @ (c.X.T @ P.ravel())).reshape(-1, 3))
 
-def _slip_forward(answer: Answer, memory: ContactMemory) -> Answer:
-    P = answer.P * [1.0, -1.0, -1.0]
-    return Answer(P, _after(memory, P))
-
-
-def _tangential_rebound(answer: Answer, memory: ContactMemory) -> Answer:
-    """Restitution multiplies the whole impulse, the tangential part too, as Poisson's hypothesis must not."""
-    P = answer.P * [1.0, 1.4, 1.4]
-    return Answer(P, _after(memory, P))
+    return answer
 
 
 def _sign_of_velocity(answer: Answer, memory: ContactMemory) -> Answer:
@@ -153,18 +148,16 @@ def _one_by_one(memory: ContactMemory) -> None:
         c.X[rows, rows] = own
 
 
-def _after(memory: ContactMemory, P: Array) -> Array:
-    c = memory.contacts
-    return np.array(c.u + c.X @ (c.X.T @ P.ravel())).reshape(-1, 3)
-
-
 FAULTS = (
     Fault("coefficient of the cone 0.1 % too large", _wider),
     Fault("normal row of a contact dropped", _no_normal),
-    Fault("mobility of a row 0.1 % too large", _lighter),
+    Fault(
+        "mobility of a row 0.1 % too large",
+        lambda memory: np.copyto(memory.contacts.X[0], 1.001 * memory.contacts.X[0]),
+    ),
     Fault("contacts solved one by one", _one_by_one),
-    Fault("friction along the slip", answer=_slip_forward),
-    Fault("restitution applied to the tangential impulse", answer=_tangential_rebound),
+    Fault("friction along the slip", answer=_rubbed(-1.0)),
+    Fault("restitution applied to the tangential impulse", answer=_rubbed(1.4)),
     Fault("sign of the velocity that an impulse adds", answer=_sign_of_velocity),
 )
 

@@ -1,10 +1,9 @@
 """Laws of mechanics that any engine must obey, whatever the robot: no second engine is needed to see a flaw.
 
-An identity is a function of an engine and a `Sample` that returns a `Residual`: a relative error, the
-tolerance for it and the argument for the tolerance. It asks the engine only for the methods that `IDENTITIES`
-lists beside it, so the same identities grade the oracle, Pinocchio or anything else with those names.
-`check_all` runs what the engine can answer and `unanswered` names the rest, so that nothing is skipped in
-silence.
+An identity is a function of an engine and a `Sample` that returns a `Residual`: a relative error, the tolerance for it
+and the argument for the tolerance. It asks the engine only for the methods that `IDENTITIES` lists beside it, so the
+same identities grade the oracle, Pinocchio or anything else with those names. `check_all` runs what the engine can
+answer and `unanswered` names the rest, so that nothing is skipped in silence.
 
 The residual of an identity, and the derivatives that an identity takes: by a complex step, or by differences.
 """
@@ -287,15 +286,10 @@ def check_all(engine: Engine, sample: Sample) -> dict[str, Residual]:
 def unanswered(engine: Engine) -> dict[str, tuple[str, ...]]:
     """Return the identities that the engine cannot be asked, each with the methods that it lacks."""
     lacking = {
-        name: tuple(method for method in needs if not _offers(engine, method))
+        name: tuple(each for each in needs if not hasattr(engine, each) or each in getattr(engine, "cannot", {}))
         for name, (_, needs) in IDENTITIES.items()
     }
     return {name: methods for name, methods in lacking.items() if methods}
-
-
-def _offers(engine: Engine, method: str) -> bool:
-    """Tell whether the engine has a method and does not say of itself that it does not cover it."""
-    return hasattr(engine, method) and method not in getattr(engine, "cannot", {})
 
 
 def _energy_rate(engine: Engine, s: Sample, v: Array, *, count_closure: bool = True) -> Residual:

@@ -46,10 +46,6 @@ class Section:
     checks: list[Check] = field(default_factory=list)
 
 
-def _engines(comparison: Comparison) -> list[str]:
-    return list(dict.fromkeys(cell.engine for cell in comparison.cells))
-
-
 def title_of(c: Comparison) -> str:
     """Return the title of a robot's tables."""
     return f"{c.robot} at its frame {c.tip}: {c.states} states of seed {c.seed} against {c.reference}"
@@ -69,22 +65,22 @@ def details(c: Comparison) -> tuple[list[str], list[list[str]]]:
     return header, rows
 
 
-def _cell_text(cell: Cell) -> str:
-    if cell.status in SHORT:
-        return SHORT[cell.status]
-    return f"{cell.relative:.0e} {MARKS[cell.status]}"
-
-
 def grid(c: Comparison) -> tuple[list[str], list[list[str]], list[str]]:
     """Return header, rows and remarks of one robot's table: quantity by engine, worst relative error."""
-    engines = _engines(c)
+    engines = list(dict.fromkeys(cell.engine for cell in c.cells))
     at = {(cell.quantity, cell.engine): cell for cell in c.cells}
     rows = []
     for quantity in QUANTITIES:
         cells = [at[quantity, engine] for engine in engines]
         bounds = [cell.tolerance for cell in cells if math.isfinite(cell.tolerance)]
         lowest, highest = (f"{f(bounds):.0e}" if bounds else "" for f in (min, max))
-        rows.append([quantity, *map(_cell_text, cells), lowest if lowest == highest else f"{lowest} … {highest}"])
+        rows.append(
+            [
+                quantity,
+                *(SHORT.get(cell.status) or f"{cell.relative:.0e} {MARKS[cell.status]}" for cell in cells),
+                lowest if lowest == highest else f"{lowest} … {highest}",
+            ]
+        )
     fewer = {cell.engine: cell.states for cell in c.cells if 0 < cell.states < c.states}
     remarks = {f"{engine}: slow, compared at {count} of {c.states} states": None for engine, count in fewer.items()}
     remarks |= dict.fromkeys(
@@ -292,10 +288,7 @@ def _html(report: Report) -> str:
             body.append(f"<ul>{''.join(f'<li>{escape(remark)}</li>' for remark in remarks)}</ul>")
     again = report.reproduce()
     return _PAGE.format(
-        verdict="passed" if report.passed else "FAILED",
-        style="good" if report.passed else "bad",
-        command=escape(report.command),
-        body="\n".join(body),
-        ending=escape(_ending(report)),
+        verdict="passed" if report.passed else "FAILED", style="good" if report.passed else "bad",
+        command=escape(report.command), body="\n".join(body), ending=escape(_ending(report)),
         again=f"<p>The worst case again: <code>{escape(again)}</code></p>" if again else "",
-    )
+    )  # fmt: skip

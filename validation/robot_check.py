@@ -324,13 +324,10 @@ def _moves(compiled: Any, k: int) -> bool:
 
 def _bare(model: RobotModel) -> str:
     """Return the links and joints of a URDF, those held at zero fixed, without shapes and their files."""
-    root = ET.fromstring(model.text)
-    for element in list(root):
-        if element.tag not in ("link", "joint"):
-            root.remove(element)
-        if element.get("name") in model.locked and element.tag == "joint":
-            element.set("type", "fixed")
-        for child in list(element):
-            if child.tag in ("visual", "collision", "mimic", "dynamics"):
-                element.remove(child)
+    from validation.engines.interface import bare_urdf
+
+    root = ET.fromstring(bare_urdf(model.text))
+    for joint in root.iterfind("joint"):
+        if joint.get("name") in model.locked:
+            joint.set("type", "fixed")
     return ET.tostring(root, encoding="unicode")

@@ -100,11 +100,11 @@ def _compare(options: argparse.Namespace) -> Any:
 def _plant(options: argparse.Namespace) -> Any:
     from validation.bodies import plant_on_bodies
     from validation.contacts import plant_on_contacts
-    from validation.loops.faults import plant_on_loops
+    from validation.loops.compare import plant_on_loops
     from validation.plant import plant_all, plant_runs
     from validation.report import Report
     from validation.suite import faults_section, load_robot
-    from validation.surfaces.faults import plant_on_surfaces
+    from validation.surfaces.answers import plant_on_surfaces
 
     say("planting faults")
     catches = plant_all(load_robot(options.robot or "wam4"), options.tip, seed=options.seed)

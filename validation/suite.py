@@ -18,22 +18,16 @@ from validation.loops.andrews import compare_with_published
 from validation.loops.compare import compare_on_loops
 from validation.oracle import Oracle
 from validation.plant import Catch
-from validation.random_trees import random_robot, random_state
 from validation.report import Check, Report, Section
-from validation.states import draw_states
-from validation.surfaces.answers import compare_on_surfaces
-from validation.surfaces.mujoco import soft_contact_section
+from validation.states import draw_states, random_robot, random_state
+from validation.surfaces.answers import compare_on_surfaces, soft_contact_section
 
 # Name in the report -> how to load it. wam4 stands twice: its drives carry half of its inertia.
 ROBOTS: dict[str, tuple[str, bool]] = {
-    "planar2": ("planar2", True),
-    "wam4": ("wam4", True),
-    "wam4 without drives": ("wam4", False),
-    "panda": ("panda", True),
-    "ur5": ("ur5", True),
-    "kinova": ("kinova", True),
+    "planar2": ("planar2", True), "wam4": ("wam4", True), "wam4 without drives": ("wam4", False),
+    "panda": ("panda", True), "ur5": ("ur5", True), "kinova": ("kinova", True),
     "free bodies": (str(Path(__file__).with_name("free_bodies.xml")), True),
-}
+}  # fmt: skip
 RANDOM = "random:"
 
 
@@ -147,13 +141,9 @@ def _worst_residuals(name: str, pairs: Sequence[tuple[Any, Sample]]) -> list[Che
 
 
 def run_suite(
-    *,
-    states: int = 1000,
-    seed: int = 0,
-    quick: bool = False,
-    engines: Sequence[type[Engine]] = (),
+    *, states: int = 1000, seed: int = 0, quick: bool = False, engines: Sequence[type[Engine]] = (),
     say: Callable[[str], None] = lambda text: None,
-) -> Report:
+) -> Report:  # fmt: skip
     """Run everything that needs no choice of the user's: the default of ``python -m validation.run``.
 
     states, seed: states drawn for each robot, and the seed

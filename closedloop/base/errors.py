@@ -1,9 +1,8 @@
 """The errors of the package.
 
-Every message says what was wrong, where, and what would be right, on one line; only a
-`ScenarioError` may have several, one for each fault.
-The command line turns `ScenarioError` and `ModelError` into exit status 2 and
-`SimulationError` into exit status 3.
+Every message says what was wrong, where, and what would be right, on one line; only a `ScenarioError` may have several,
+one for each fault. The command line turns `ScenarioError` and `ModelError` into exit status 2 and `SimulationError`
+into exit status 3.
 
 `EXTRAS` are packages that a run does not need, and the extras of this package that install them.
 """

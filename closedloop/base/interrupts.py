@@ -1,6 +1,7 @@
 """Ctrl-C and SIGTERM: as exceptions, or deferred while something is being finished."""
 
 import _signal  # type: ignore[import-not-found]  # what `signal` is made of
+import gc
 import os
 import signal
 import threading
@@ -203,3 +204,23 @@ def _cannot_raise(frame: FrameType | None, *others: str) -> bool:
             return True
         frame = frame.f_back
     return False
+
+
+@contextmanager
+def compiler_at_work() -> Iterator[None]:
+    """Let Ctrl-C wait until the block, which asks something of numba or LLVM, is done.
+
+    A second Ctrl-C does not wait, nor does SIGTERM, after which nothing is compiled. No garbage is looked for
+    meanwhile: a compiler's graphs are in use, and looking through them takes a tenth.
+
+    Both take locks, numba for all of a compilation and LLVM for each call of its library. What a signal raises as one
+    is taken or released would leave it taken, and the next thread that asks would wait for ever.
+    """
+    was = gc.isenabled()
+    with answered_where_it_can_be(), held_back(signal.SIGINT):
+        gc.disable()
+        try:
+            yield
+        finally:
+            if was:
+                gc.enable()

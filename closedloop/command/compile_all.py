@@ -69,7 +69,7 @@ def _kernels() -> tuple[Piece, ...]:
     return (
         Piece("walk", "inverse kinematics of a path", _problem),
         Piece("sample_spline", "a path of joints", _problem),
-        _entry("simulation.engines.proceed", "proceed_at", "the step"),
+        _entry("simulation.engines.loops", "proceed_at", "the step"),
         Piece(
             "complete_record", "the end of a record",
             lambda: direct(_named("loop.step.record_row", "complete_record"), 0, np.zeros((0, 0)), 0),

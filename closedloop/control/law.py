@@ -146,7 +146,7 @@ def commanded_force(x: LawInput, par: Any, z: Any) -> float:
     surface f = f_c + d, d the disturbance. Then e_f = f_des − f obeys, without K_f, ė_f = −K_I e_f: the force settles
     like exp(−K_I t), independently of the arm. With a reading that is one sample old, K_f alone gives the iteration
     f ← (1 + K_f) f_des − K_f f + d, which converges for K_f < 1 only; behind a low-pass of time constant T sampled
-    every h, K_f may be up to T/h (`closedloop.control.stability`).
+    every h, K_f may be up to T/h (`closedloop.simulation.time_step`).
 
     In free motion there is no force feedback, and f_c = f_des. But after liftoff due to feedback, as after too high a
     reading, f_c does not return to f_des at once, which would chatter: negative feedback terms act there too, until the

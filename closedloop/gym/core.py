@@ -16,11 +16,11 @@ from closedloop.gym.terms import PARTS, POSTURE, TRUTH, Now, Observations, Task,
 from closedloop.jit.parameters import parameter_block
 from closedloop.scenario.arm import start_positions
 from closedloop.scenario.load import Variants
-from closedloop.simulation.cache import Cache
 from closedloop.simulation.engines.loops import COMPILED
 from closedloop.simulation.engines.problem import Problem
 from closedloop.simulation.ensemble.ensemble import Ensemble
 from closedloop.simulation.ensemble.member import FORCE, JOINT, PARAMETER, SHIFT, TORQUE
+from closedloop.simulation.parts import Cache
 from closedloop.simulation.prepare import prepare, problem_of
 from closedloop.simulation.simulate import check_engine
 from closedloop.simulation.time_step import whole_steps

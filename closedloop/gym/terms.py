@@ -16,7 +16,7 @@ import numpy as np
 from closedloop.base.arguments import fields_checked
 from closedloop.base.arrays import Array, Mask
 from closedloop.base.errors import ScenarioError
-from closedloop.control.reference.table import Reference
+from closedloop.control.reference.desired import Reference
 from closedloop.loop.step.record_row import ContactRow, Row
 from closedloop.mechanics.closure.contact_force import FREE, STUCK
 from closedloop.scenario.load import load_scenario

@@ -48,16 +48,13 @@ class Asked(NamedTuple):
 
 # As `closedloop compile` prints them; the others are compiled in silence, in a second or two.
 TAKES_LONG = {
-    "proceed_at": Long("the step", 16.0),
-    "run_in_lanes": Long("the step of eight runs at a time", 13.0),
-    "contacts_in_step": Long("contacts of links", 19.0),
-    "closed_loops": Long("loops", 5.0),
+    "proceed_at": Long("the step", 16.0), "run_in_lanes": Long("the step of eight runs at a time", 13.0),
+    "contacts_in_step": Long("contacts of links", 19.0), "closed_loops": Long("loops", 5.0),
     "proceed_at_dual8": Long("derivatives of the step", 22.0),
     "contacts_in_step_dual8": Long("derivatives of contacts of links", 17.0),
-    "closed_loops_dual8": Long("derivatives of loops", 9.0),
-    "walk": Long("the inverse kinematics of a path", 4.0),
+    "closed_loops_dual8": Long("derivatives of loops", 9.0), "walk": Long("the inverse kinematics of a path", 4.0),
     "along_path": Long("loops along a path", 3.0),
-}
+}  # fmt: skip
 BRIEF = 1.5  # s, of the others
 OF_A_CORE = 0.6  # what a process has of one while another interprets, with two
 # How long `wait_until_done` waits at most, unless it is told otherwise, and between two looks, s.

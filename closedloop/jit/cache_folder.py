@@ -22,7 +22,7 @@ from functools import cache, lru_cache
 from pathlib import Path
 from typing import Any
 
-from closedloop.jit.uninterrupted import compiler_at_work
+from closedloop.base.interrupts import compiler_at_work
 
 # What tells a file whose text the compiled code depends on, and files that say how it is compiled.
 MARKS = (

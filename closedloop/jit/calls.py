@@ -21,8 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.base.arrays import Array, IntArray
+from closedloop.base.interrupts import compiler_at_work
 from closedloop.jit import plain_numba
-from closedloop.jit.uninterrupted import compiler_at_work
 
 # Views kept for an interpreted loop, which makes the same few at every step. They own no memory, so a view stays valid
 # for any array at that address.

@@ -13,8 +13,8 @@ from collections.abc import Callable
 from functools import cache, update_wrapper
 from typing import Any, TypeVar, cast
 
+from closedloop.base.interrupts import compiler_at_work
 from closedloop.jit import plain_numba as plain_numba
-from closedloop.jit.uninterrupted import compiler_at_work
 from robot_models.cached import cached, cached_property
 
 F = TypeVar("F", bound=Callable[..., Any])

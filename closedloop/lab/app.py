@@ -38,9 +38,9 @@ from closedloop.scenario.load import load_scenario, shipped_scenarios
 from closedloop.scenario.messages import variants
 from closedloop.scenario.scenario import Scenario
 from closedloop.scenario.tables import ALL
-from closedloop.simulation.cache import Cache
 from closedloop.simulation.engines.law_source import fresh, law_digest
 from closedloop.simulation.engines.loops import COMPILED, PINOCCHIO, kernels_of
+from closedloop.simulation.parts import Cache
 from closedloop.simulation.prepare import load_model, model_key, prepare
 from closedloop.simulation.simulate import as_run, check_engine, law_name, run_loop, simulate
 from robot_models import RobotModel

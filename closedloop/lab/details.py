@@ -17,7 +17,7 @@ from closedloop.lab.drawn import Message, robot_message, space_message, spread
 from closedloop.lab.history import Pin, compared
 from closedloop.lab.server import Newest
 from closedloop.record.run import Run
-from closedloop.simulation.cache import Cache
+from closedloop.simulation.parts import Cache
 from closedloop.simulation.prepare import prepare
 from closedloop.simulation.simulate import beside_half
 from closedloop.studies.analysis.assembly import instant_of, loop_at

@@ -42,7 +42,7 @@ from closedloop.scenario.scenario import NO_ROBOT, Scenario, families
 from closedloop.scenario.tables import labels_of, tangents_of
 from closedloop.scenario.user_module import members_of_users
 from robot_models import RobotModel
-from robot_models.mesh_files import digest_of
+from robot_models.collision import digest_of
 
 # Bytes that HDF5 takes beside numbers and texts at most: for a file, and for each variable.
 OF_FILE, OF_VARIABLE = 100_000, 10_000

@@ -11,7 +11,7 @@ motion, its eigenvalue μ, is compared with e^hλ.
 
 With the semi-implicit scheme bristles follow the slip at the step's beginning, so that on them it is the explicit one.
 Of the other fast parts the stabiliser is no motion of the arm, and what is unstable is refused, as are a sensor's
-filter and delay that its samples do not resolve (`closedloop.control.sensor`, `closedloop.control.stability`).
+filter and delay that its samples do not resolve (`closedloop.control.sensor`, `closedloop.simulation.time_step`).
 
 The stability of a law's feedback is that of its damping and stiffness against the arm's inertia. With the model fed
 forward, as the laws do, feedback gives ẍ = −K x − D ẋ, in the joints with K = H⁻¹K_p and D = H⁻¹K_d. One explicit step

@@ -414,8 +414,7 @@ class Scenario(Section):
     )
     impact: ImpactSection = Field(ImpactSection(), description="how the tip bounces, where it may leave the surface")
     contact: tuple[ContactSection, ...] | None = Field(
-        None,
-        description="contacts of the robot's links, in addition to the tip's",
+        None, description="contacts of the robot's links, in addition to the tip's"
     )
     body: tuple[BodySection, ...] | None = Field(None, description="free bodies beside the robot")
     external_force: tuple[ExternalForceSection, ...] | None = Field(

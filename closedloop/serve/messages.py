@@ -19,7 +19,7 @@ import numpy as np
 from closedloop.base.arrays import Array, plain
 from closedloop.loop.step.record_row import Row
 from closedloop.serve.session import Client, Clock, Gone, Interface, Session
-from closedloop.simulation.state import StepState
+from closedloop.simulation.simulator import StepState
 
 MAGIC = b"CLB1"
 HEAD, DOUBLES = struct.Struct("<II"), np.dtype("<f8")

@@ -29,8 +29,7 @@ from closedloop.lab.server import Client as Page
 from closedloop.loop.events.transitions import collide
 from closedloop.record.run import Run
 from closedloop.scenario.scenario import Scenario
-from closedloop.simulation.simulator import Simulator
-from closedloop.simulation.state import StepState
+from closedloop.simulation.simulator import Simulator, StepState
 
 # Bytes that are read at once, bytes that may wait to be taken, and the time that a client may take until it has read
 # what was sent to it, s. While one client is listened to, others are looked after so often, s.

@@ -1,51 +1,50 @@
 """Calls of the loop: the functions that provide its terms, and the answers to what else it requests.
 
-All that steps one problem does so by a `Driver` and by `drive`: `closedloop.simulation.simulate` to the end,
-`closedloop.simulation.stepper` from row to row, the adaptive integrator from state to state.
+All that steps one problem does so by a `Driver` and by `drive`: `closedloop.simulation.simulate` to the end, `Stepper`
+from row to row, the adaptive integrator from state to state.
 """
 
 import time as clock
 from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import replace
 from functools import partial
+from struct import Struct
+from typing import Any, cast
 
 import numpy as np
 
 from closedloop.base.arrays import Array
 from closedloop.base.errors import ScenarioError, SimulationError
+from closedloop.control.drives import cut_torque
 from closedloop.control.reference.inverse_kinematics import sample_spline, walk
 from closedloop.jit.background import make_ready, start, takes_long
 from closedloop.jit.blocks import arrays_of
 from closedloop.jit.calls import address_of
 from closedloop.jit.interim import PROBE, Interim, at_hand, call_now, compile_ahead, compiles_ahead
-from closedloop.jit.kernel import direct
-from closedloop.loop.events.locate import IMPACT_LAW_WANTED, INITIAL_EVENTS, TABLE_FULL, TERMS
+from closedloop.jit.kernel import direct, plain
+from closedloop.loop.events import locate
 from closedloop.loop.events.table import EVENT_WIDTH
 from closedloop.loop.events.transitions import collide
 from closedloop.loop.step.closed_loops import closed_loops
 from closedloop.loop.step.contacts import contacts_in_step
-from closedloop.loop.step.memory import Loop
+from closedloop.loop.step.memory import Loop, State, Work
 from closedloop.loop.step.record_row import complete_record
+from closedloop.mechanics.closure.conditioning import BATCH
+from closedloop.mechanics.closure.contact_force import FREE
 from closedloop.mechanics.closure.solve import LAW_FAILED
-from closedloop.mechanics.loops.reactions import rows_along
+from closedloop.mechanics.loops.reactions import lose_undriven, rows_along, torque_of_drives
 from closedloop.mechanics.loops.solve import along_path, closed_to
-from closedloop.mechanics.robot.tree import Tree, potential_energies
+from closedloop.mechanics.robot.tree import potential_energies
 from closedloop.mechanics.surface.contact import normals_on_surface, put_on_surface
 from closedloop.mechanics.surface.placed import PlacedSurface
 from closedloop.scenario.arm import has_stops
 from closedloop.scenario.scenario import Scenario
+from closedloop.simulation.engines import loops as engine_loops
 from closedloop.simulation.engines.bind_contacts import entries_of_contacts
 from closedloop.simulation.engines.failures import failure_of, raised_by_member
-from closedloop.simulation.engines.loops import COMPILED, PINOCCHIO, Pace, kernels_of, loop_for
+from closedloop.simulation.engines.loops import COMPILED, PINOCCHIO
 from closedloop.simulation.engines.problem import Problem
-from closedloop.simulation.engines.proceed import (
-    FROM_PINOCCHIO,
-    Addresses,
-    addresses_of,
-    proceed_at,
-    set_events,
-    set_rows,
-)
 from closedloop.simulation.engines.scenario_numbers import calls_law, entries_of
 from closedloop.simulation.engines.user_law import Law, UserLaw
 from robot_models import RobotModel
@@ -67,11 +66,11 @@ class Answers:
     `compiling`: time of the first impact, s, which may have compiled its law.
     """
 
-    addresses: Addresses
+    addresses: engine_loops.Addresses
 
     def __init__(self, problem: Problem, loop: Loop, interim: bool = False) -> None:
         self._loop, self._interim = loop, interim
-        self.events: Array = np.zeros((INITIAL_EVENTS, EVENT_WIDTH))
+        self.events: Array = np.zeros((locate.INITIAL_EVENTS, EVENT_WIDTH))
         self.begin(problem)
 
     def begin(self, problem: Problem) -> None:
@@ -85,9 +84,9 @@ class Answers:
 
     def give(self, request: int) -> None:
         """Answer TABLE_FULL or IMPACT_LAW_WANTED, see `closedloop.loop.events.proceed`."""
-        if request == TABLE_FULL:
+        if request == locate.TABLE_FULL:
             self.events = np.vstack([self.events, np.zeros_like(self.events)])
-            set_events(self.addresses, self.events)
+            engine_loops.set_events(self.addresses, self.events)
             return
         self._problem.set_restitution(self._loop)
         began = clock.perf_counter()
@@ -119,12 +118,12 @@ def drive(call: Callable[[int], int], give: Callable[[int], None], goes_on: Call
     `goes_on`: whether to go on where terms are requested.
     Returns the last request: DONE, FAILED or TERMS.
     """
-    request = TERMS
+    request = locate.TERMS
     while True:
         request = call(request)
-        if request in (TABLE_FULL, IMPACT_LAW_WANTED):
+        if request in (locate.TABLE_FULL, locate.IMPACT_LAW_WANTED):
             give(request)
-        elif request != TERMS or not goes_on():
+        elif request != locate.TERMS or not goes_on():
             return request
 
 
@@ -135,7 +134,7 @@ class Driver:
 
     `problem`: the problem.
     `rows` (>= steps + 1, width): memory for the record, see `closedloop.loop.step.record_row.Row`.
-    `law`, `engine`, `interim`, `tree`: see `closedloop.simulation.simulate.run_loop`.
+    `law`, `engine`, `interim`: see `closedloop.simulation.simulate.run_loop`.
     `table`: in place of the problem's table of what is desired.
     `into`: see `closedloop.loop.step.memory.make_loop`.
     `kept`: whether the next run of the problem, from the same start or another, may take it over.
@@ -150,8 +149,7 @@ class Driver:
 
     def __init__(
         self, problem: Problem, rows: Array, engine: str = PINOCCHIO, *, law: Law | None = None, interim: bool = False,
-        tree: tuple[Tree, Array] | None = None, table: Array | None = None, into: Loop | None = None,
-        kept: bool = False,
+        table: Array | None = None, into: Loop | None = None, kept: bool = False,
     ) -> None:  # fmt: skip
         self.loop = loop = problem.memory(user_law=law is not None, into=into)
         self._law, self.user_law = law, None if law is None else UserLaw(law, loop)
@@ -159,16 +157,16 @@ class Driver:
         if interim:
             self.kernel = begun(engine, problem, loop, connect, law)
         else:
-            self.kernel = loop_for(engine)
-            make_ready(*kernels_of(engine), *problem.called(loop, law is not None))
+            self.kernel = engine_loops.loop_for(engine)
+            make_ready(*engine_loops.kernels_of(engine), *problem.called(loop, law is not None))
         connect(compiled=not (isinstance(self.kernel, Interim) and self.kernel.interpreting))
         self.may_be_kept = kept and law is None and not isinstance(self.kernel, Interim)
         self._robot = problem.robot
         self._before = unwritten(loop) if self.may_be_kept else []
         self.answers = Answers(problem, loop, interim)
         arrays = problem.table if table is None else table, problem.integrator.tableau(), rows, self.answers.events
-        provide = (self._compiled if engine == COMPILED else self._pinocchios)(problem, arrays, tree)
-        self.answers.addresses, pace, kernel = self._addresses, Pace(), self.kernel
+        provide = (self._compiled if engine == COMPILED else self._pinocchios)(problem, arrays)
+        self.answers.addresses, pace, kernel = self._addresses, engine_loops.Pace(), self.kernel
 
         def once() -> int:
             return provide(1)
@@ -181,36 +179,33 @@ class Driver:
         self.once, self.many = once, many
         problem.begin(loop)
 
-    def _pinocchios(self, problem: Problem, arrays: Arrays, made: tuple[Tree, Array] | None) -> Provide:
+    def _pinocchios(self, problem: Problem, arrays: Arrays) -> Provide:
         robot, w = problem.robot, self.loop.w
-        self._addresses = addresses_of(robot.views, self.loop, *arrays)
+        self._addresses = engine_loops.addresses_of(robot.views, self.loop, *arrays)
         at, (q, turned), v = address_of(self._addresses.memory), robot.configuration(w.q), w.v
         crba, bias, convention, pinocchio, data = robot.passes
-        call, self.terms = direct(self.kernel, at, FROM_PINOCCHIO), robot.evaluator(w.q, w.v)
+        call, self.terms = direct(self.kernel, at, engine_loops.FROM_PINOCCHIO), robot.evaluator(w.q, w.v)
 
         def provide(evaluations: int) -> int:
-            request = TERMS
+            request = locate.TERMS
             for _ in range(evaluations):
                 if turned is not None:
                     turned()
                 crba(pinocchio, data, q, convention)  # as in `terms`, without a call
                 bias(pinocchio, data, q, v)
-                request = call(at, FROM_PINOCCHIO)
-                if request != TERMS:
+                request = call(at, engine_loops.FROM_PINOCCHIO)
+                if request != locate.TERMS:
                     break
             return request
 
-        self.again = partial(call, at, FROM_PINOCCHIO)
+        self.again = partial(call, at, engine_loops.FROM_PINOCCHIO)
         return provide
 
-    def _compiled(self, problem: Problem, arrays: Arrays, made: tuple[Tree, Array] | None) -> Provide:
-        from closedloop.simulation.engines.compiled import compiled_terms, compiled_tree, compiled_work
-
+    def _compiled(self, problem: Problem, arrays: Arrays) -> Provide:
         n = problem.robot.n
-        tree, work = made or (compiled_tree(problem), compiled_work(n))
-        H, C, scratch = compiled_terms(work, n)
-        self._addresses = addresses_of((H, C), self.loop, *arrays)
-        given = tree, scratch, address_of(self._addresses.memory)
+        H, C, scratch = engine_loops.compiled_terms(engine_loops.compiled_work(n), n)
+        self._addresses = engine_loops.addresses_of((H, C), self.loop, *arrays)
+        given = engine_loops.compiled_tree(problem.robot), scratch, address_of(self._addresses.memory)
         call = direct(self.kernel, *given, 1)  # compiled, or read from the cache, before the clock starts
         self.again = partial(call, *given, 1)
         return partial(call, *given)
@@ -224,7 +219,7 @@ class Driver:
         for array, before in self._before:
             array[...] = before
         self.answers.begin(problem)
-        set_rows(self._addresses, problem.table, rows)
+        engine_loops.set_rows(self._addresses, problem.table, rows)
         problem.begin(self.loop)
 
     def end(self) -> None:
@@ -263,14 +258,16 @@ def have_compiled(scenario: Scenario, model: RobotModel) -> None:
         with suppress(ScenarioError):  # which is said in its turn
             called += entries_of_contacts(scenario)
         called.append(contacts_in_step)
-    compile_ahead([*called, *(WITH_LOOPS if model.loops else ()), proceed_at, complete_record, collide, *USED_ONCE])
+    compile_ahead(
+        [*called, *(WITH_LOOPS if model.loops else ()), engine_loops.proceed_at, complete_record, collide, *USED_ONCE]
+    )
 
 
 def begun(
     engine: str, problem: Problem, loop: Loop, connect: Callable[..., None], law: Law | None
 ) -> Callable[..., int]:
     """Return the loop, or what it is begun with if it is not compiled; and have compiled what else is missing."""
-    kernels, called = kernels_of(engine), problem.called(loop, user_law=law is not None)
+    kernels, called = engine_loops.kernels_of(engine), problem.called(loop, user_law=law is not None)
     with_it = [
         *kernels[1:],
         complete_record,
@@ -289,3 +286,206 @@ def begun(
     make_ready(*waited_for)
     start([function for function in (*with_it, *once) if not at_hand(function)])
     return kernels[0]
+
+
+# A copy of the loop's memory: whole numbers, real ones before and behind the batch of rows that wait for their
+# condition numbers, that batch if the next row completes it, whether the scenario's law had started, and the memory of
+# the links' contacts. The batch is most of the memory, and the rows in it stay as they are until it begins anew. (A
+# tuple with names would take longer to make, at every step, and arrays twice as long to copy there and back as bytes.)
+Mark = tuple[bytes, bytes, bytes, bytes, bool, tuple[bytes, ...]]
+_REAL = Struct("d")
+
+# Places in the loop's numbers that are used at every step: an attribute of `State` takes five times as long.
+_ROW, _PHASE, _EVENTS, _MODE, _DRIVES, _SAMPLED, _OFF, _BATCHED = (
+    cast(int, State.place(name))
+    for name in ("row", "phase", "event.rows", "mode", "settings.drives", "sampled", "trial.off", "batched")
+)
+_GENERAL, _LAW, _COMPENSATION = (
+    cast(int, State.place(name)) for name in ("settings.general", "law.entry", "compensation.entry")
+)
+
+
+class Stepper:
+    """The loop of a problem, and what drives it: the scenario's law, a user's law, or a torque that is held.
+
+    `rows`, (steps + 1, width) array: the record, see `closedloop.loop.step.record_row.Row`.
+    `mark`, Mark: from just before the call that recorded the latest row; of the first row, from before anything was
+        called.
+    """
+
+    def __init__(self, problem: Problem, engine: str) -> None:
+        # A robot of its own: the terms that it has evaluated last are used again.
+        problem = replace(problem, robot=problem.robot.again())
+        self._problem = problem
+        self.rows: Array = np.zeros((problem.steps + 1, problem.row_width))
+        self._driver = driver = Driver(problem, self.rows, engine)
+        self.loop, self.answers = driver.loop, driver.answers
+        state, w = self.loop.state, self.loop.w
+        self._numbers: Any = state.memory.data
+        # What is written through these is written as bytes, in a third of the time.
+        self._all_numbers: Any = state.memory.data.cast("B")
+        values, batch = w.memory.data.cast("B"), cast(slice, Work.place("batch", *w.sizes))
+        begin, end = _REAL.size * batch.start, _REAL.size * batch.stop
+        self._before: Any = values[:begin]
+        self._batch: Any = values[begin:end]
+        self._behind: Any = values[end:]
+        contacts = w.kept.get("contacts", ())
+        self._of_contacts: tuple[Any, ...] = tuple(block.memory.data.cast("B") for block in contacts)
+        self._own = int(state.settings.general), int(state.law.entry), int(state.compensation.entry)
+        self._torque: Any = w.torque.data
+        make_ready(*([collide] if state.settings.unilateral or state.contacts.at else []), complete_record)
+        self._held, self._own_started = False, False
+        self._all_driven = not len(problem.robot.model.undriven)
+        self._begins = (
+            locate.MEASURED if state.settings.encoder else locate.STEP_END
+        )  # the phase that a row begins with
+        self._law: Law | None = None
+        self._user_law: UserLaw | None = None
+        self._measured = _REAL.size * cast(int, Work.place("sensing.measured", *w.sizes)) - end
+        self.mark: Mark = self._copied()
+        # The mark whose terms have been evaluated last, and whether the loop is there.
+        self._terms_of: Mark | None = None
+        self._at_mark = self._terms_there = False
+
+    def _copied(self) -> Mark:
+        contacts = tuple(map(bytes, self._of_contacts)) if self._of_contacts else ()
+        # The row after the next, which may be recorded before the loop goes back, would be the first of a new batch.
+        batch = bytes(self._batch) if self._numbers[_BATCHED] == BATCH - 1 else b""
+        return bytes(self._all_numbers), bytes(self._before), bytes(self._behind), batch, self._own_started, contacts
+
+    def _put_back(self, mark: Mark) -> None:
+        self._all_numbers[:], self._before[:], self._behind[:], batch, self._own_started, contacts = mark
+        if batch:
+            self._batch[:] = batch
+        for block, before in zip(self._of_contacts, contacts, strict=True):
+            block[:] = before
+
+    def batch(self) -> bytes:
+        """Return a copy of the rows that wait for their condition numbers, of which a mark has none."""
+        return bytes(self._batch)
+
+    def put_batch(self, batch: bytes) -> None:
+        """Put back what `batch` returned, before going back to a mark of that instant."""
+        self._batch[:] = batch
+
+    def back_to(self, mark: Mark) -> None:
+        """Go back to just before the row of a mark was recorded; what the next torque ends, ends at this row."""
+        numbers = self._numbers
+        self._put_back(mark)
+        self.mark, self._at_mark, self._terms_there = mark, True, mark is self._terms_of
+        if numbers[_ROW] > 0 and (numbers[_MODE] != FREE or self._of_contacts):
+            numbers[_OFF] = 1  # the step before has been searched, with the torque that acted in it
+
+    def hold(self, torque: Array) -> None:
+        """Let a torque (n,), an array of doubles, act from the row on, to which the loop has gone back.
+
+        Of what it asks of joints without a drive, what the drives can give through loops acts, as of a law's.
+        """
+        numbers = self._numbers
+        if self._held and self._own_started:  # the laws are as they were
+            numbers[_GENERAL], numbers[_LAW], numbers[_COMPENSATION] = self._own
+        else:
+            self._set_law(None)
+            self._held = True
+        if not self._all_driven:
+            robot, model = self._problem.robot, self._problem.robot.model
+            if model.loops:
+                torque = torque_of_drives(robot, self.loop.w.q, torque)[0]
+            else:
+                torque = np.array(torque)
+                plain(lose_undriven)(model.undriven, len(model.undriven), torque)
+        if not numbers[_DRIVES]:
+            self._torque[:] = torque
+            return
+        acting = self.loop.w.torque
+        before = acting.copy()
+        acting[:] = torque
+        if not np.array_equal(torque, before):
+            most, change = self._problem.drives
+            plain(cut_torque)(
+                acting, before, change / max(1, self._problem.hold), most, numbers[_ROW] == 0,
+                self.loop.w.drives.limited,
+            )  # fmt: skip
+
+    def let(self, law: Law | None) -> None:
+        """Let a law, None: the scenario's own, act from the row on, to which the loop has gone back."""
+        self._set_law(law)
+        self._held = False
+        self.loop.state.sampled = 1
+
+    def _set_law(self, law: Law | None) -> None:
+        self.release()
+        state = self.loop.state
+        state.settings.general, state.law.entry, state.compensation.entry = self._own
+        self._law = law
+        if law is not None:
+            state.compensation.entry, state.started = 0, 0
+            self.loop.w.dz[: int(state.law_states)] = 0.0  # those of the scenario's law wait
+            self._connect()
+        elif not self._own_started:
+            state.started, self._own_started = 0, True
+
+    def _connect(self) -> None:
+        assert self._law is not None
+        self._user_law = UserLaw(self._law, self.loop)
+        self._user_law.connect()
+
+    def go_on(self) -> None:
+        """Connect the law that acted last, if it was a user's, again."""
+        if self._law is not None and self._user_law is None:
+            self._connect()
+
+    def release(self) -> None:
+        """Release a user's law until `go_on`, `let` or `hold`."""
+        if self._user_law is not None:
+            self._user_law.close()
+            self._user_law = None
+
+    def to_row(self) -> None:
+        """Go on until a row has been recorded.
+
+        Raises SimulationError if the loop cannot go on; an exception of a user's law is its cause.
+        """
+        numbers = self._numbers
+        row, self._next_mark = numbers[_ROW], self.mark
+        self._call = self._driver.again if self._terms_there else self._driver.once
+        self._marked = self._at_mark or row == 0
+        self._at_mark, self._terms_there, self._terms_of = False, False, None
+        if drive(self._go_on, self.answers.give, lambda: bool(numbers[_ROW] <= row)) == locate.FAILED:
+            raise self.answers.failure(self._torque if self._held else self._law, self._user_law)
+        self.mark = self._next_mark
+        if row > 0 and self._begins == locate.STEP_END:
+            self._terms_of = self.mark
+
+    def _go_on(self, request: int) -> int:
+        """Call the loop, which may record a row."""
+        numbers = self._numbers
+        if not self._marked and numbers[_PHASE] == self._begins:
+            self._next_mark = self._copied()
+        self._marked = numbers[_ROW] == 0
+        if self._held:
+            numbers[_SAMPLED] = 0
+        call, self._call = self._call, self._driver.once
+        return call()
+
+    @property
+    def rows_done(self) -> int:
+        """The rows that a run which fails now has."""
+        return int(self._numbers[_ROW])
+
+    @property
+    def events_done(self) -> int:
+        """The events so far."""
+        return int(self._numbers[_EVENTS])
+
+    def seen(self) -> tuple[float, int]:
+        """Return what the force sensor said before the latest row, N, and how many events there are."""
+        (measured,) = _REAL.unpack_from(self.mark[2], self._measured)
+        return measured, self._numbers[_EVENTS]
+
+    def completed(self, done: int) -> tuple[Array, Array]:
+        """Return copies of `done` rows, all that are recorded in the memory, and of the events."""
+        now = self._copied()
+        complete_record(self.loop.address, self.rows, done)
+        self._put_back(now)
+        return self.rows[:done].copy(), self.answers.events[: self.events_done].copy()

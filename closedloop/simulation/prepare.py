@@ -19,14 +19,11 @@ from closedloop.base.errors import ScenarioError
 from closedloop.control.drives import torque_limits, torque_steps, transmission_constants
 from closedloop.control.law import Compensation
 from closedloop.control.laws.paper import PaperLaw
-from closedloop.control.reference.desired import Desired, Motion, desired
+from closedloop.control.reference.desired import Desired, DrawnRow, Motion, Reference, TableRow, desired
 from closedloop.control.reference.force import force_at
-from closedloop.control.reference.on_surface import edge_key
 from closedloop.control.reference.path import refuse_narrow
-from closedloop.control.reference.table import DrawnRow, Reference, TableRow
-from closedloop.control.reference.tip_path import TipPath
+from closedloop.control.reference.tip_path import TipPath, edge_key
 from closedloop.control.sensor import check_steps, draws, encoder_draws, pack_sensor
-from closedloop.control.stability import check_sampling
 from closedloop.jit.parameters import lists_per_joint, pack
 from closedloop.jit.user_code import of_users
 from closedloop.mechanics.closure.contact_force import FREE, PRESSED, STUCK
@@ -41,34 +38,25 @@ from closedloop.mechanics.surface.kinds.plane import PlaneSurface
 from closedloop.mechanics.surface.placed import PlacedSurface, Touching, unit
 from closedloop.mechanics.surface.surface import Surface, largest_mobility
 from closedloop.record.columns.derived import StatesOf
-from closedloop.scenario.arm import (
-    acting_tendons,
-    beside_bodies,
-    free_bodies,
-    has_stops,
-    joint_friction_of,
-    robot_of,
-    start_positions,
-    start_posture,
-    start_velocities,
-    stop_limits,
-)
+from closedloop.scenario import arm
 from closedloop.scenario.collision import with_collision_shapes
 from closedloop.scenario.modes import check_transmission
 from closedloop.scenario.scenario import NO_ROBOT, Scenario
 from closedloop.scenario.user_module import member_digests
-from closedloop.simulation.all_entries import with_all_entries
-from closedloop.simulation.cache import Cache
+from closedloop.simulation import time_step
 from closedloop.simulation.engines import scenario_numbers
 from closedloop.simulation.engines.bind_contacts import contact_rows, placed_contacts
 from closedloop.simulation.engines.problem import STICK_SPEED, Problem
 from closedloop.simulation.loop_calls import have_compiled
-from closedloop.simulation.parts import Made, Maker, Parts, Watched
-from closedloop.simulation.time_step import check_stiffness, integrator_of, stabiliser_gains, steps_and_hold
+from closedloop.simulation.parts import Cache, Made, Maker, Parts, Watched
 from robot_models import RobotModel
 from robot_models.bodies import only_bodies
 from robot_models.model import AT_LIMIT
 
+# A path on a surface that moves goes on this much longer than the run, so that its last row is no end of it.
+BEYOND = 1.001
+# Memory of a robot, with Pinocchio's model and data, about, bytes; of a section as numbers.
+ROBOT_BYTES, SECTION_BYTES = 200_000, 2_000
 # Largest |e| of the tip at the start, m: with the paper's stabiliser the force due to a larger error would dominate, a
 # thousand newtons for each kilogram of apparent mass and each millimetre.
 START_GAP = 1e-3
@@ -82,7 +70,7 @@ ORIGIN = np.zeros(3)
 def start_state(scenario: Scenario, model: RobotModel) -> tuple[Array, Array]:
     """Return q and q̇ (n,) as they are asked for and as the loop has them, refusing joints beyond their limits."""
     try:
-        q, v = start_posture(scenario, model), start_velocities(scenario, model)
+        q, v = arm.start_posture(scenario, model), arm.start_velocities(scenario, model)
     except ScenarioError:
         refuse_lengths(scenario, model)  # all of them
         raise
@@ -98,7 +86,7 @@ def start_state(scenario: Scenario, model: RobotModel) -> tuple[Array, Array]:
 
 def refuse_combinations(scenario: Scenario, model: RobotModel) -> None:
     """Refuse what loops, and stops of joints, cannot be combined with."""
-    stopped = has_stops(scenario, model)
+    stopped = arm.has_stops(scenario, model)
     if scenario.reads_encoders and not np.any(model.measured):
         raise ScenarioError(f"encoder: {model.name} has joints that turn freely, which no encoder reads: leave it out")
     if scenario.robot.stop_restitution > 0.0 and not stopped:
@@ -140,7 +128,7 @@ def placed_surface(
             given, at_most, _ = _where_given(section, surface, tip)
             raise ScenarioError(f"{given}: the tip starts {-gap:.4g} m inside the surface{thrown}: {at_most}")
         if fixed_step:
-            check_stiffness(scenario, mobility, now.gap)
+            time_step.check_stiffness(scenario, mobility, now.gap)
         return surface, now, PRESSED if section.contact == "bilateral" or gap <= TOUCHING else FREE
     if section.contact == "bilateral":
         if abs(gap) > START_GAP:
@@ -219,7 +207,7 @@ def _through_the_closure(A: Array, v: Array, rate: float) -> str:
 def refuse_lengths(scenario: Scenario, model: RobotModel) -> None:
     """Refuse lists that have not one entry for each joint, all of them at once."""
     faults: list[str] = []
-    for start in (start_positions, start_velocities):
+    for start in (arm.start_positions, arm.start_velocities):
         try:
             start(scenario, model)
         except ScenarioError as error:
@@ -241,13 +229,9 @@ def _refuse(faults: list[str]) -> None:
         raise ScenarioError(*faults)
 
 
-# Memory of a robot, with Pinocchio's model and data, about, bytes; of a section as numbers.
-ROBOT_BYTES, SECTION_BYTES = 200_000, 2_000
-
-
 def completed(scenario: Scenario, model: RobotModel) -> Scenario:
     """Return a scenario as its run has it: lists with an entry for each joint, contacts with the robot's own shapes."""
-    return with_collision_shapes(with_all_entries(scenario, model), model)
+    return with_collision_shapes(arm.with_all_entries(scenario, model), model)
 
 
 @arguments_checked()
@@ -312,6 +296,7 @@ def problem_of(scenario: Scenario, model: RobotModel | None, cache: Cache, kept:
     numbers = dict(zip(NUMBERS, _numbers_of(made), strict=True))
     (numbers["integrator"], numbers["tolerance"]), (numbers["steps"], numbers["hold"]) = made["scheme"], made["count"]
     (numbers["q"], numbers["v"]), (numbers["surface"], now, _, numbers["believed"]) = made["start"], made["place"]
+    numbers["row_width"], numbers["row_states"] = made["record"].width, made["record"].row_states
     numbers |= {
         "bare_table": made["table"], "frame": now.frame, "nodes": numbers["integrator"].parts, "scenario": completed,
         "bare": given["bare"], "member_digests": given["member_digests"], "model_given": model, "spare": cache.spare,
@@ -337,16 +322,20 @@ def _completed(s: Any, of: Made) -> Scenario | None:
 # What is made of a scenario as it is given.
 OF_GIVEN: dict[str, Maker] = {
     "member_digests": lambda s, of: member_digests(s),
-    "bare": lambda s, of: _model(s, of.cache) if of.model_given is None else of.model_given,
-    "robot": lambda s, of: _robot(s, of.bare, of.cache),
+    "bare": lambda s, of: of.model_given or of.cache.get(
+        ("model", model_key(s)), lambda: load_model(s), lambda model: ROBOT_BYTES
+    ),
+    "robot": lambda s, of: of.cache.get(
+        ("robot", robot_key(s, of.cache)), lambda: arm.robot_of(s, of.bare), lambda robot: ROBOT_BYTES
+    ),
     "arm": lambda s, of: of.robot.model.without_tools,
     "completed": _completed,
-}
+}  # fmt: skip
 
 
 def _compiling(s: Any, of: Made) -> None:
     """Have compiled what a run will want; which numbers it has does not matter."""
-    _ = of.layout
+    _ = of.entries, of.loop_settings, of.record
     have_compiled(s.unwatched, _model_of(of))
 
 
@@ -380,7 +369,15 @@ def _path(s: Any, of: Made) -> tuple[Motion, tuple[Hashable, ...] | None]:
     with of_users(s.reference, "reference.kind"):
         if not of.kept:
             return found(), None
-        key = of.cache.texts(s, of=("robot", "tool", "reference")), q.tobytes(), _path_key(s, surface)
+        own: Hashable = surface.normal.tobytes()
+        if not surface.fixed_plane:
+            own = (
+                surface.section.model_dump_json(),
+                surface.motion.model_dump_json(),
+                surface.origin.tobytes(),
+                duration,
+            )
+        key = of.cache.texts(s, of=("robot", "tool", "reference")), q.tobytes(), own
         return of.cache.get_shared(("desired", *key), found, lambda made: 3 * made.joints.q.nbytes), key
 
 
@@ -421,17 +418,17 @@ OF_WHOLE: dict[str, Maker] = {
     "asked": lambda s, of: start_state(s, _model_of(of)),
     "lengths": lambda s, of: _refuse(_wrong_lengths(s, _model_of(of))),
     "combinations": lambda s, of: refuse_combinations(s, _model_of(of)),
-    "joint_law": lambda s, of: joint_friction_of(s, _model_of(of)),
-    "scheme": lambda s, of: integrator_of(s, of.joint_law),
+    "joint_law": lambda s, of: arm.joint_friction_of(s, _model_of(of)),
+    "scheme": lambda s, of: time_step.integrator_of(s, of.joint_law),
     "load_friction": lambda s, of: _refuse_load_friction(s, of.joint_law),
     "states": lambda s, of: StatesOf.of(s, _model_of(of).n),
     "plain": lambda s, of: not scenario_numbers.calls_any_law(s, _model_of(of)),
     "general": lambda s, of: not of.plain or scenario_numbers.is_no_papers_law(s.law),
     "entries": lambda s, of: tuple(scenario_numbers.entries_of(s, _model_of(of), of.general, of.joint_law).items()),
-    "settings": lambda s, of: tuple(scenario_numbers.settings_of(s, _model_of(of)).items()),
-    "layout": lambda s, of: scenario_numbers.Layout.joined(s, of.states, of.general, of.entries, of.settings),
+    "loop_settings": lambda s, of: tuple(scenario_numbers.settings_of(s, _model_of(of)).items()),
+    "record": lambda s, of: scenario_numbers.record_of(s, of.states),
     "period": lambda s, of: s.law.sample_period,
-    "count": lambda s, of: steps_and_hold(s, of.period, of.layout.row_width),
+    "count": lambda s, of: time_step.steps_and_hold(s, of.period, of.record.width),
     "believed_law": lambda s, of: _believed_compensation(s),
     "sampling": lambda s, of: _check_compensation(s, of.believed_law),
     "compiling": _compiling,
@@ -441,23 +438,25 @@ OF_WHOLE: dict[str, Maker] = {
         of.believed_law, _model_of(of).n, _model_of(of).joint_names
     ),
     "joint_friction": lambda s, of: scenario_numbers.pack_friction(of.joint_law, _model_of(of).n, joints=True),
-    "compliance": lambda s, of: scenario_numbers.pack_compliance(s.compliance, _model_of(of).n),
+    "compliance": lambda s, of: scenario_numbers.PackedLaw(
+        type(s.compliance), pack(s.compliance, _model_of(of).n, "compliance"), 0
+    ),
     "sensor": lambda s, of: pack_sensor(s.sensor, s.time.step),
     "encoder": lambda s, of: _encoder(s, _model_of(of)),
     "transmission": lambda s, of: transmission_constants(s.transmission, _model_of(of)),
     "drives": lambda s, of: np.stack(
         [torque_limits(s.drives, _model_of(of)), torque_steps(s.drives, _model_of(of), of.period)]
     ),
-    "stabiliser": lambda s, of: np.array(stabiliser_gains(s)),
-    "project": lambda s, of: s.stabiliser.kind in ("projection", "both") and _is_rigid(s),
-    "tendons": lambda s, of: acting_tendons(s, _model_of(of)),
-    "stops": lambda s, of: stop_limits(s, _model_of(of)),
+    "stabiliser": lambda s, of: np.array(time_step.stabiliser_gains(s)),
+    "project": lambda s, of: s.stabiliser.kind in ("projection", "both") and isinstance(s.compliance, Rigid),
+    "tendons": lambda s, of: arm.acting_tendons(s, _model_of(of)),
+    "stops": lambda s, of: arm.stop_limits(s, _model_of(of)),
     "ends": lambda s, of: tuple(of.robot.tree.ends.tolist()),
     "has_loops": lambda s, of: bool(_model_of(of).loops),
     "start": _closed,
     "there": lambda s, of: PlacedSurface.of(s.surface, s.surface_motion, ORIGIN, 0.0, s.tool.radius),
     "place": lambda s, of: _placed(s, of.robot, of.start, of.there, of.scheme[1]),
-    "contact_rows": lambda s, of: contact_rows(s, of.robot) if s.contact or has_stops(s, _model_of(of)) else None,
+    "contact_rows": lambda s, of: contact_rows(s, of.robot) if s.contact or arm.has_stops(s, _model_of(of)) else None,
     "placed": lambda s, of: None if of.contact_rows is None else placed_contacts(
         s, of.robot, of.contact_rows, of.start[0]
     ),
@@ -469,7 +468,10 @@ OF_WHOLE: dict[str, Maker] = {
     "draws": _draws,
     "wanted": lambda s, of: Desired(of.path[0].tip, of.path[0].joints, s.force_profile, s.law.force),
     "pd_start": lambda s, of: _pd_start(s, of.path[0].tip),
-    "law": lambda s, of: _packed_law(s, of.pd_start, _model_of(of)),
+    "law": lambda s, of: scenario_numbers.pack_law(
+        s.law.with_valid({"pd_start": of.pd_start}) if isinstance(s.law, PaperLaw) else s.law, _model_of(of).n,
+        _model_of(of).joint_names,
+    ),
     "mode": _mode,
     "shape": lambda s, of: scenario_numbers.Shape.of(
         of.law, of.compensation, of.friction, of.joint_friction, of.compliance, of.sensor, of.tendons
@@ -478,9 +480,9 @@ OF_WHOLE: dict[str, Maker] = {
 
 # Those of these that are numbers of the problem as they are.
 NUMBERS = (
-    "robot", "h", "layout", "friction", "compensation", "joint_friction", "compliance", "sensor", "encoder",
-    "transmission", "drives", "stabiliser", "project", "tendons", "stops", "ends", "has_loops", "there", "placed",
-    "forces", "wanted", "pd_start", "law", "mode", "shape",
+    "robot", "h", "general", "loop_settings", "record", "friction", "compensation", "joint_friction", "compliance",
+    "sensor", "encoder", "transmission", "drives", "stabiliser", "project", "tendons", "stops", "ends", "has_loops",
+    "there", "placed", "forces", "wanted", "pd_start", "law", "mode", "shape",
 )  # fmt: skip
 _numbers_of = itemgetter(*NUMBERS)
 
@@ -506,13 +508,6 @@ def _pd_start(scenario: Scenario, tip: TipPath) -> float:
     return start
 
 
-def _packed_law(scenario: Scenario, start: float, model: RobotModel) -> scenario_numbers.PackedLaw:
-    """Return the control law as numbers, its PD part acting from an instant on, s."""
-    law = scenario.law
-    law = law.with_valid({"pd_start": start}) if isinstance(law, PaperLaw) else law
-    return scenario_numbers.pack_law(law, model.n, model.joint_names)
-
-
 def _encoder(scenario: Scenario, model: RobotModel) -> Array:
     numbers = pack(scenario.encoder, model.n, "encoder", model.joint_names)
     check_steps(scenario.encoder, model.position_lower, model.position_upper, model.joint_names)
@@ -529,10 +524,6 @@ def model_key(scenario: Scenario) -> Hashable:
     """Return what the model depends on that `load_model` returns."""
     robot, beside = scenario.robot, (*(scenario.body or ()), *(scenario.mocap or ()))
     return robot.model, robot.drive_inertia, repr(robot.lock), *(each.model_dump_json() for each in beside)
-
-
-def _is_rigid(scenario: Scenario) -> bool:
-    return isinstance(scenario.compliance, Rigid)
 
 
 def _refuse_load_friction(scenario: Scenario, joint_friction: JointFriction) -> None:
@@ -552,27 +543,18 @@ def _check_compensation(scenario: Scenario, compensation: Compensation) -> None:
         raise ScenarioError(
             f"compensation.kind = {compensation.kind!r}: needs the force along the tangents too: set sensor.axes = 3"
         )
-    check_sampling(law, compensation, scenario.sensor, law.sample_period or scenario.time.step)
-
-
-def _robot(scenario: Scenario, model: RobotModel, cache: Cache) -> Robot:
-    key = "robot", robot_key(scenario, cache)
-    return cache.get(key, lambda: robot_of(scenario, model), lambda robot: ROBOT_BYTES)
-
-
-def _model(scenario: Scenario, cache: Cache) -> RobotModel:
-    return cache.get(("model", model_key(scenario)), lambda: load_model(scenario), lambda model: ROBOT_BYTES)
+    time_step.check_sampling(law, compensation, scenario.sensor, law.sample_period or scenario.time.step)
 
 
 def load_model(scenario: Scenario) -> RobotModel:
     """Return the robot that a scenario names, with each [[body]] beside it."""
     section = scenario.robot
     if section.model == NO_ROBOT:
-        return only_bodies(free_bodies(scenario))
+        return only_bodies(arm.free_bodies(scenario))
     options: dict[str, Any] = {} if section.lock is None else {"lock": section.lock}
     options["mocap"] = {each.frame for each in scenario.mocap or ()}
     model = robot_models.load(section.model, drive_inertia=section.drive_inertia, **options)
-    return beside_bodies(scenario, model)
+    return arm.beside_bodies(scenario, model)
 
 
 def _believed_compensation(scenario: Scenario) -> Compensation:
@@ -592,15 +574,3 @@ def _believed_compensation(scenario: Scenario) -> Compensation:
             "that could be wrong; use compensation.kind = 'model', or leave model_error.friction out"
         )
     return section.model_copy(update=wrong)
-
-
-# A path on a surface that moves goes on this much longer than the run, so that its last row is no end of it.
-BEYOND = 1.001
-
-
-def _path_key(scenario: Scenario, surface: PlacedSurface) -> Hashable:
-    """Return what of the surface the path depends on."""
-    if surface.fixed_plane:
-        return surface.normal.tobytes()
-    sections = surface.section.model_dump_json(), surface.motion.model_dump_json()
-    return (*sections, surface.origin.tobytes(), scenario.time.duration)

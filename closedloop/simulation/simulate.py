@@ -18,7 +18,7 @@ from closedloop.base.arrays import Array
 from closedloop.base.errors import DivergenceError, InterruptedRunError, LawError, ScenarioError, SimulationError
 from closedloop.base.interrupts import held_back
 from closedloop.base.progress import reporting
-from closedloop.control.reference.table import Reference
+from closedloop.control.reference.desired import Reference
 from closedloop.jit.interim import Interim, at_hand, call_now, not_compiled_first
 from closedloop.jit.kernel import plain
 from closedloop.loop.events.locate import DONE, TERMS
@@ -33,13 +33,13 @@ from closedloop.record.run import Run
 from closedloop.record.save import package_versions
 from closedloop.scenario.arm import start_positions, without_tools
 from closedloop.scenario.scenario import Scenario
-from closedloop.simulation.cache import kept_cache
 from closedloop.simulation.engines.failures import interrupted, member_error
 from closedloop.simulation.engines.law_source import arguments_of, fresh, law_digest
 from closedloop.simulation.engines.loops import COMPILED, ENGINES, PINOCCHIO, loop_for
 from closedloop.simulation.engines.problem import Problem
 from closedloop.simulation.engines.user_law import Law
 from closedloop.simulation.loop_calls import Driver, drive
+from closedloop.simulation.parts import kept_cache
 from closedloop.simulation.prepare import borrowed, problem_of
 from robot_models import RobotModel
 from robot_models.coordinates import continuous, with_quaternions
@@ -178,7 +178,7 @@ def simulate(
     engine : "pinocchio" or "compiled"
         The source of H, C, r, Jᵣ and J̇ᵣq̇: Pinocchio, or the package's own compiled terms
         (`closedloop.mechanics.robot.tree`), which are equal to rounding and a few times as fast. The compiled engine
-        takes a user's law only if numba has compiled it, see `closedloop.simulation.engines.law_source`.
+        takes a user's law only if numba has compiled it, see `closedloop.simulation.engines.user_law`.
     record : mapping of str to callable, optional
         Columns of your own: by name a function of the `Run` that returns (N,) or (N, k) finite numbers, or a pair of
         such a function and a unit, ``{"power": (power, "W")}``. They are computed once, at the end, and are columns
@@ -295,8 +295,7 @@ def _silent(done: int, total: int) -> None:
 
 def run_loop(
     problem: Problem, law: Law | None = None, report: Callable[[int, int], None] = _silent, engine: str = PINOCCHIO, *,
-    rows: Array | None = None, tree: tuple[Tree, Array] | None = None, interim: bool = False,
-    keep_interrupted: bool = False,
+    rows: Array | None = None, interim: bool = False, keep_interrupted: bool = False,
 ) -> tuple[Array, Array, SimulationError | None, float]:  # fmt: skip
     """Step the problem.
 
@@ -307,8 +306,6 @@ def run_loop(
         they are in `rows` then, but for the last condition numbers.
     rows : (>= steps + 1, width) array, optional
         Memory for the rows; its content is overwritten.
-    tree : (Tree, array), optional
-        The problem's robot for the compiled engine, and its scratch array, if they exist already.
     interim : bool
         Whether the run may begin interpreted while the loop is not compiled yet; else the loop is compiled first.
     keep_interrupted : bool
@@ -326,7 +323,7 @@ def run_loop(
         Wall time of the steps, s, without compilation.
     """
     if problem.tolerance is not None:
-        from closedloop.simulation.engines.adaptive.drive import run_adaptive
+        from closedloop.simulation.engines.adaptive import run_adaptive
 
         check_engine(problem.scenario, engine, law)
         return run_adaptive(problem, law, report, keep_interrupted)
@@ -335,7 +332,7 @@ def run_loop(
     driver: Driver | None = problem.spare.pop(engine, None) if law is None else None
     if driver is None or not driver.fits(problem):
         memory = driver.loop if driver else None
-        driver = Driver(problem, rows, engine, law=law, interim=interim, tree=tree, into=memory, kept=True)
+        driver = Driver(problem, rows, engine, law=law, interim=interim, into=memory, kept=True)
     else:
         driver.begin(problem, rows)
     kernel, answers, once, many = driver.kernel, driver.answers, driver.once, driver.many

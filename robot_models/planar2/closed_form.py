@@ -47,10 +47,9 @@ class Terms:
 
 
 def terms(q: ArrayLike, v: ArrayLike, *, drive_inertia: bool = True) -> Terms:
-    """Evaluate the closed form.
+    """Evaluate the closed form at joint angles (2,), rad, and their rates (2,), rad/s.
 
-    q, v: (2,), joint angles, rad, and their rates, rad/s
-    drive_inertia: whether the drives' inertia is in the mass matrix
+    `drive_inertia`: whether the drives' inertia is in the mass matrix.
     """
     (q1, q2), (w1, w2) = np.asarray(q, dtype=np.float64), np.asarray(v, dtype=np.float64)
     (l1, l2), (m1, m2), (a1, a2), (I1, I2) = LENGTH, MASS, COM, INERTIA

@@ -4,7 +4,7 @@ import numpy as np
 
 import closedloop as cl
 import robot_models
-from validation.loops.mechanisms import joint, point
+from validation.loops.cases import joint, point
 
 G = 9.81
 WIDTH, HEIGHT, MASS = 0.2, 0.1, 2.0

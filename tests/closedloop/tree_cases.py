@@ -7,7 +7,7 @@ import numpy as np
 import closedloop as cl
 import robot_models
 from closedloop.mechanics.robot.tree import tree_kinematics, tree_of, tree_terms, work_size
-from validation.random_trees import random_robot
+from validation.states import random_robot
 
 # Two summations of the same few dozen products in another order: some hundred roundings of 1e-16 of the largest.
 ROUNDING = 1e-13

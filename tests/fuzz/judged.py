@@ -24,9 +24,9 @@ from closedloop.base.errors import ClosedLoopError, SimulationError, one_line
 from closedloop.mechanics.integrators import ADAPTIVE
 from closedloop.record.report.verdict import names_of
 from closedloop.record.run import Run, load_run
+from closedloop.scenario.arm import with_all_entries
 from closedloop.scenario.load import load_scenario, parse_scenario, scenario_of
 from closedloop.scenario.scenario import Scenario
-from closedloop.simulation.all_entries import with_all_entries
 from closedloop.simulation.simulate import beside_half, simulate
 
 LONGEST_LINE = 1000  # characters: more is not read

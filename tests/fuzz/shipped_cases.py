@@ -19,7 +19,7 @@ import robot_models
 from closedloop.scenario.load import shipped_scenarios
 from closedloop.scenario.messages import variants
 from closedloop.scenario.scenario import ContactSection, Scenario
-from robot_models.shipped import path_of
+from robot_models.described import path_of
 
 SCENARIOS = Path(robot_models.__file__).parents[1] / "closedloop" / "scenario" / "shipped"
 # One loop of every type, on the tree of a robot that ships with a loop; where it does not close, that is said.

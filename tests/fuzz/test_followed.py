@@ -14,9 +14,8 @@ from closedloop.base.errors import ClosedLoopError, ScenarioError
 from closedloop.scenario.load import scenario_of, shipped_scenarios
 from closedloop.scenario.messages import variants
 from closedloop.scenario.scenario import Scenario
-from closedloop.simulation.cache import Cache
 from closedloop.simulation.ensemble.ensemble import Ensemble
-from closedloop.simulation.parts import Watched
+from closedloop.simulation.parts import Cache, Watched
 from closedloop.simulation.prepare import problem_of
 from closedloop.simulation.simulate import as_run, run_loop
 

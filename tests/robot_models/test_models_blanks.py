@@ -7,7 +7,7 @@ import pytest
 from budget import budget
 
 import robot_models
-from robot_models import example_robots, shipped, urdf, urdf_mechanism
+from robot_models import described, example_robots, urdf
 from robot_models.xml_text import parse
 
 BLANKS = {
@@ -27,7 +27,7 @@ QUICK = {("planar2", kind) for kind in BLANKS} | set(zip(robot_models.shipped_na
 def text_of(name):
     """Return the text of a robot as it lies in its file."""
     if name in robot_models.shipped_names():
-        return shipped.path_of(name).read_text(encoding="utf-8")
+        return described.path_of(name).read_text(encoding="utf-8")
     return example_robots.find(name).text
 
 
@@ -62,7 +62,7 @@ def test_all_attributes_at_once(tmp_path, name, kind):
         assert getattr(robot, field) == getattr(plain, field)
     for field in ("position_lower", "position_upper", "velocity_limit", "effort_limit", "home"):
         assert getattr(robot, field).tobytes() == getattr(plain, field).tobytes()
-    assert urdf_mechanism.for_pinocchio(robot.text) == urdf_mechanism.for_pinocchio(plain.text)
+    assert urdf.for_pinocchio(robot.text) == urdf.for_pinocchio(plain.text)
 
 
 # The long texts of the parallel robots hold no element that the others lack.
@@ -77,7 +77,7 @@ def test_each_attribute_by_itself(name):
     The kinds of blanks take turns; with the full budget each is tried with each attribute.
     """
     root = parse(text_of(name), name)
-    wanted = urdf_mechanism.for_pinocchio(urdf.read(text_of(name), name))
+    wanted = urdf.for_pinocchio(urdf.read(text_of(name), name))
     tried, turns = 0, itertools.cycle(BLANKS.values())
     for element in root.iter():
         for key, value in element.attrib.items():
@@ -85,7 +85,7 @@ def test_each_attribute_by_itself(name):
                 for other in padded(value, blank):
                     element.set(key, other)
                     text = ET.tostring(root, encoding="unicode")
-                    assert urdf_mechanism.for_pinocchio(urdf.read(text, name)) == wanted, (element.tag, key, other)
+                    assert urdf.for_pinocchio(urdf.read(text, name)) == wanted, (element.tag, key, other)
                     tried += 1
             element.set(key, value)
     assert tried > budget(80, 300)

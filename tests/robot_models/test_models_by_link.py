@@ -8,7 +8,7 @@ import pinocchio as pin
 import pytest
 
 import robot_models
-from robot_models import example_robots, shipped, urdf, urdf_mechanism
+from robot_models import described, example_robots, urdf
 
 #: Relative to the link: two readers turn a tensor by angles of their own sines.
 EQUAL = 1e-12
@@ -20,7 +20,7 @@ NAMES = [*robot_models.shipped_names(), *sorted(set(example_robots.example_names
 
 def unwelded(text):
     """Return what Pinocchio gets of a text, every welded link on a hinge of its own, so that nothing is lumped."""
-    root = ET.fromstring(urdf_mechanism.for_pinocchio(text))
+    root = ET.fromstring(urdf.for_pinocchio(text))
     for joint in root.findall("joint[@type='fixed']"):
         joint.set("type", "revolute")
         for element in [*joint.findall("axis"), *joint.findall("limit")]:
@@ -35,7 +35,7 @@ def unwelded(text):
 def test_every_link_weighs_what_its_text_says(name):
     """Against yourdfpy's reading of the file as it lies there; robots that are refused as mechanisms included."""
     own = name in robot_models.shipped_names()
-    raw = shipped.path_of(name).read_text(encoding="utf-8") if own else example_robots.find(name).text
+    raw = described.path_of(name).read_text(encoding="utf-8") if own else example_robots.find(name).text
     model = pin.buildModelFromXML(unwelded(urdf.read(raw, name)))
     import yourdfpy
 

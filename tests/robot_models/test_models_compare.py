@@ -6,7 +6,7 @@ import pytest
 from model_texts import INERTIAL, LIMIT, arm, joint, link
 
 import robot_models
-from robot_models import ModelError, urdf_mechanism
+from robot_models import ModelError, urdf
 from robot_models.build import check_built
 from robot_models.mechanism import MAX_JOINTS, MAX_LINKS
 
@@ -15,14 +15,14 @@ WELDED = joint("end", "fore", "tip", kind="fixed", limit="")
 
 def check(held, said, locked=None):
     """Hold Pinocchio's model of one text against another text."""
-    model = pin.buildModelFromXML(urdf_mechanism.for_pinocchio(held))
+    model = pin.buildModelFromXML(urdf.for_pinocchio(held))
     names = list(locked or {})
     if names:
         posture = np.zeros(model.nq)
         for name in names:
             posture[model.idx_qs[model.getJointId(name)]] = locked[name]
         model = pin.buildReducedModel(model, [model.getJointId(name) for name in names], posture)
-    check_built(model, urdf_mechanism.mechanism(said), locked or {}, "robot")
+    check_built(model, urdf.mechanism(said), locked or {}, "robot")
 
 
 def elbow(**options):
@@ -71,7 +71,7 @@ def test_locked_joints_are_compared_where_they_are_held(value):
     model = pin.buildModelFromXML(arm())
     model = pin.buildReducedModel(model, [model.getJointId("elbow")], np.array([0.0, value + 0.1]))
     with pytest.raises(ModelError, match="link 'fore'"):
-        check_built(model, urdf_mechanism.mechanism(arm()), {"elbow": value}, "robot")
+        check_built(model, urdf.mechanism(arm()), {"elbow": value}, "robot")
 
 
 def test_of_links_held_together_the_missing_one_is_named():
@@ -85,10 +85,8 @@ def test_a_dropped_inertial_does_not_pass(tmp_path, monkeypatch):
     """The fault that this is for: urdfdom drops an <inertial> whose mass ends with a blank."""
     path = tmp_path / "robot.urdf"
     path.write_text(arm())
-    plainly = urdf_mechanism.for_pinocchio
-    monkeypatch.setattr(
-        urdf_mechanism, "for_pinocchio", lambda text: plainly(text).replace('value="2"', 'value="2 "', 1)
-    )
+    plainly = urdf.for_pinocchio
+    monkeypatch.setattr(urdf, "for_pinocchio", lambda text: plainly(text).replace('value="2"', 'value="2 "', 1))
     with pytest.raises(ModelError, match=r"link 'upper': Pinocchio read another mass \(0\) than the text says \(2\)"):
         robot_models.load(path)
 

@@ -16,9 +16,8 @@ from model_texts import INERTIAL, LIMIT, arm, joint, link, mjcf, urdf
 
 import closedloop as cl
 import robot_models
-from robot_models import described, shipped
-from robot_models.collision import collision_shapes
-from robot_models.mesh_files import digest_of
+from robot_models import described
+from robot_models.collision import collision_shapes, digest_of
 
 ARRAYS = ("armature", "position_lower", "position_upper", "velocity_limit", "effort_limit", "home", "gravity")
 
@@ -138,14 +137,14 @@ def test_what_was_inspected_still_passes(name):
     """The list of inspected texts holds the shipped ones, and they do pass."""
     from robot_models import urdf as reader
 
-    text = shipped.path_of(name).read_text()
+    text = described.path_of(name).read_text()
     assert described.digest(text) in described.PASSED
     reader.inspect(reader.read(text, name), name, ())
 
 
 def test_one_byte_more_is_inspected_again():
     """The memory is of bytes, and of the joints that were locked."""
-    text = shipped.path_of("wam4").read_text()
+    text = described.path_of("wam4").read_text()
     assert described.has_passed(text, ())
     assert described.has_passed(text, ["J1"])
     assert not described.has_passed(text + " ", ())

@@ -8,9 +8,9 @@ import pytest
 from model_texts import mjcf
 
 import robot_models
-from robot_models import shipped
+from robot_models import described
 
-URDF = shipped.path_of("planar2").read_text()
+URDF = described.path_of("planar2").read_text()
 
 
 @pytest.mark.parametrize("value", ["1e308", "1e200", "1e100", "2e9"])

@@ -5,7 +5,7 @@ import pytest
 
 from validation.oracle import Oracle, closure, kinematics
 from validation.oracle.closure import point_fixed, point_on_line, point_on_plane, weld
-from validation.random_trees import random_robot, random_state
+from validation.states import random_robot, random_state
 
 ROUNDING = 1e-12  # sums and products over a dozen joints; derivatives by complex step add nothing
 

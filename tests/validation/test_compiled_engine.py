@@ -10,7 +10,7 @@ from closedloop.simulation.engines.scenario_numbers import needs_general_form
 from validation.engines import CannotBuild, available
 from validation.engines.loop import Compiled
 from validation.engines.slides import compare_runs, faulty_tree, record, shipped, twin
-from validation.plant_faults import TREE_FAULTS
+from validation.plant import TREE_FAULTS
 
 # Free, pressed and let go; an impact; a slide: one of each, in a second or less.
 SHORT = [

@@ -9,7 +9,7 @@ from budget import budget
 import robot_models
 from validation.engines import ENGINES, Refused, available, installed, probe
 from validation.engines.hand_written import HandWritten
-from validation.random_trees import random_robot
+from validation.states import random_robot
 
 # Worst of 20 states on all robots below: 5e-15 for the terms, relative to their natural size; 5e-13 for q̈, f and the
 # impulse, where rounding meets the condition number of H (kinova's is 1e5). A decade and more is left.

@@ -9,7 +9,7 @@ import robot_models
 from robot_models.planar2 import closed_form
 from validation.engines import CannotBuild
 from validation.engines.loop import ClosedLoop
-from validation.random_trees import random_robot
+from validation.states import random_robot
 
 sympy = pytest.importorskip("sympy", reason='pip install "sympy>=1.13" "mpmath>=1.3"')
 mpmath = pytest.importorskip("mpmath", reason='pip install "sympy>=1.13" "mpmath>=1.3"')

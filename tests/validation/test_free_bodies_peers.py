@@ -14,8 +14,7 @@ from validation.engines.mujoco import MuJoCo
 from validation.engines.pinocchio_cpp import PinocchioCpp
 from validation.engines.registry import available
 from validation.identities import IDENTITIES, draw_sample
-from validation.plant import plant_all
-from validation.plant_faults import FAULTS, TURNING_FAULTS
+from validation.plant import FAULTS, TURNING_FAULTS, plant_all
 from validation.suite import ROBOTS, load_robot
 
 

@@ -14,8 +14,7 @@ from validation.engines import ENGINES, Engine, Missing, available
 from validation.engines.hand_written import HandWritten
 from validation.engines.interface import METHODS
 from validation.engines.loop import ClosedLoop
-from validation.plant import plant_all
-from validation.plant_faults import FAULTS, TURNING_FAULTS, Fault
+from validation.plant import FAULTS, TURNING_FAULTS, Fault, plant_all
 from validation.report import Report
 from validation.run import main
 from validation.states import QUANTITIES, draw_state
@@ -197,7 +196,7 @@ def test_identities_hold_and_name_what_is_left_out():
 
 def test_near_singular_states_are_hard_and_still_agree(pair):
     """States looked for near singular poses magnify rounding much more than others, and stay within their bound."""
-    from validation.tolerances import amplification
+    from validation.engines.interface import amplification
 
     model, oracle = robot_models.load("wam4"), pair[0]
     grown = {False: [], True: []}

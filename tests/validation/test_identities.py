@@ -8,7 +8,7 @@ from pinocchio_reference import PinocchioEngine
 import robot_models
 from validation.identities import IDENTITIES, Residual, check_all, draw_sample, unanswered
 from validation.oracle import Oracle
-from validation.random_trees import random_robot, random_state
+from validation.states import random_robot, random_state
 
 FLAW = 1e-6  # relative; far below what a plot would show, four decades above the loosest tolerance
 

@@ -3,10 +3,8 @@
 import numpy as np
 import pytest
 
-from validation.loops.cases import TOUCHES, LoopFault, draw_case, oracle_of
-from validation.loops.compare import LOOPS, compare_on_loops
-from validation.loops.faults import FAULTS, Fault, plant_on_loops
-from validation.loops.mechanisms import MECHANISMS
+from validation.loops.cases import MECHANISMS, TOUCHES, LoopFault, draw_case, oracle_of
+from validation.loops.compare import FAULTS, LOOPS, Fault, compare_on_loops, plant_on_loops
 from validation.report import Report
 from validation.suite import faults_section
 

@@ -19,18 +19,30 @@ from validation.measured.cubes.comparing import (
     TOSSES,
     Tried,
     against,
+    corner_impacts,
     engines,
     fit,
     fits,
+    fitted_start,
+    flight,
+    geometry,
     held_out,
     impacts_before,
     interval,
     training,
 )
-from validation.measured.cubes.engine import CubeEngine, Parameter
-from validation.measured.cubes.flight import fitted_start, flight, geometry
-from validation.measured.cubes.impacts import corner_impacts
-from validation.measured.cubes.tosses import FALL, RATE, SIDE, Toss, errors, first_row, mean_errors, read
+from validation.measured.cubes.engine import (
+    FALL,
+    RATE,
+    SIDE,
+    CubeEngine,
+    Parameter,
+    Toss,
+    errors,
+    first_row,
+    mean_errors,
+    read,
+)
 from validation.measured.judged import DATA
 
 

@@ -25,16 +25,20 @@ from validation.measured.pressing.judging import (
     sizes_of_differences,
 )
 from validation.measured.pressing.machine import (
+    BAND,
     CONTACT,
     MACHINE,
     SIZES,
     ClosedLoopArm,
+    Figures,
     MuJoCoArm,
+    Touchdown,
     contact_time,
+    figures,
     pose,
+    read,
     scenario,
 )
-from validation.measured.pressing.touchdowns import BAND, Figures, Touchdown, figures, read
 
 VALUES = {p.name: p.first for p in (*MACHINE, *CONTACT)}
 NAMES = ("straight_F55_g1_v0.25", "straight_F35_g0.5_v0.10")

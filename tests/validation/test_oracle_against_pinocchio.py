@@ -10,7 +10,7 @@ import robot_models
 from validation.oracle import Oracle, closure, kinematics
 from validation.oracle.closure import point_fixed, point_on_plane, solve_bordered, weld
 from validation.oracle.tree import MOVING
-from validation.random_trees import random_robot, random_state
+from validation.states import random_robot, random_state
 
 # Both engines sum some hundred products a joint over at most a dozen joints, in a different order: the worst
 # of 900 states of 300 random robots is 2e-14 of the largest term. The rest is for what was not seen.

@@ -11,7 +11,7 @@ import sympy
 
 import validation.oracle
 from validation.oracle import Joint, Link, Oracle, build_tree
-from validation.random_trees import random_robot, random_state
+from validation.states import random_robot, random_state
 
 SOURCES = sorted(Path(validation.oracle.__file__).parent.glob("*.py"))
 

@@ -5,7 +5,7 @@ import pytest
 
 import robot_models
 from validation.oracle import Oracle, dynamics, kinematics
-from validation.random_trees import random_robot
+from validation.states import random_robot
 
 ROUNDING = 1e-12
 ROBOTS = {

@@ -11,15 +11,13 @@ import numpy as np
 import pytest
 
 import closedloop as cl
+from validation.speed import loops, scenes
 from validation.speed.__main__ import line_up, main
-from validation.speed.bodies import of_bodies
 from validation.speed.contestants import ARMS, Contestant, chain, converged, final, our_engine, slide, with_errors
-from validation.speed.feet import BOXES, STANDS, on_feet
-from validation.speed.loops import GIVES_WAY, MECHANISMS, coasting, racing
+from validation.speed.loops import GIVES_WAY, MECHANISMS, coasting
 from validation.speed.measure import Timing, growth, race, ratio, targets
 from validation.speed.repeated import compiled_batch
-from validation.speed.robots import ROBOTS, of_robot
-from validation.speed.scenes import WALL, bodies_of, of_scene
+from validation.speed.scenes import BOXES, ROBOTS, STANDS, WALL, bodies_of
 from validation.speed.served import main as main_served
 
 STEPS = 60
@@ -46,7 +44,7 @@ def test_every_row_does_the_same_work(arm):
 @pytest.mark.parametrize("name", MECHANISMS)
 def test_every_row_moves_the_mechanism(name):
     """Peers of a mechanism with loops end where ours does, which is elsewhere than where it began by far."""
-    everyone = racing(name, True)
+    everyone = loops.racing(name, True)
     for contestant in everyone:
         end = contestant.lap()[1]
         assert end is None or np.max(np.abs(end - contestant.wanted)) <= contestant.tolerance, contestant
@@ -56,7 +54,7 @@ def test_every_row_moves_the_mechanism(name):
 @pytest.mark.parametrize("name", BOXES)
 def test_every_row_moves_the_box(name):
     """MuJoCo's box on four feet ends where ours does: metres on, or where it stood."""
-    everyone = on_feet(name, True)
+    everyone = scenes.racing(name, True)
     for contestant in everyone:
         assert np.max(np.abs(contestant.lap()[1] - contestant.wanted)) <= contestant.tolerance, contestant
     went = everyone[0].wanted[0]
@@ -66,7 +64,7 @@ def test_every_row_moves_the_box(name):
 @pytest.mark.parametrize("name", ["cube_toss", "tower_2"])
 def test_every_row_moves_the_bodies(name):
     """The tower stands in both, and the cube lies on the floor; MuJoCo has four contacts for each body."""
-    everyone = of_bodies(name, True)
+    everyone = scenes.racing(name, True)
     for contestant in everyone:
         assert np.max(np.abs(contestant.lap()[1] - contestant.wanted)) <= contestant.tolerance, contestant
     height = everyone[0].wanted[2]
@@ -76,7 +74,7 @@ def test_every_row_moves_the_bodies(name):
 @pytest.mark.parametrize("name", ["stack_3", "bin_4"])
 def test_every_row_moves_the_scene(name):
     """Boxes come to rest inside the bin in both, none below the floor."""
-    for contestant in of_scene(name, True):
+    for contestant in scenes.racing(name, True):
         q = contestant.lap()[1]
         count = len(bodies_of(name)[0])
         places = (q if contestant.name == "compiled" else q.reshape(count, 7)[:, :3].ravel()).reshape(count, -1)[:, :3]
@@ -87,7 +85,7 @@ def test_every_row_moves_the_scene(name):
 @pytest.mark.parametrize("name", ROBOTS)
 def test_every_row_puts_down_the_robot(name):
     """A car that coasts, and a quadruped that stands, are in both engines where they should be."""
-    for contestant in of_robot(name, True):
+    for contestant in scenes.racing(name, True):
         x, y, z = contestant.lap()[1]
         np.testing.assert_allclose([x, y, z], contestant.wanted, atol=contestant.tolerance)
         assert x == pytest.approx(2.0, abs=0.01) if name == "car" else abs(x) < 0.01
@@ -97,8 +95,8 @@ def test_every_row_puts_down_the_robot(name):
 def test_mujoco_races_with_its_own_solver_settings():
     """Solving to rounding, as our comparisons of accuracy do, makes its step nearly twice as long."""
     mujoco = pytest.importorskip("mujoco")
+    from validation.speed.contestants import slide_model
     from validation.speed.loops import connect_model
-    from validation.speed.mujoco import slide_model
 
     own = mujoco.MjModel.from_xml_string("<mujoco/>").opt
     off = mujoco.mjtDisableBit

@@ -6,10 +6,19 @@ import pytest
 import robot_models
 from validation.report import Report
 from validation.suite import faults_section
-from validation.surfaces.answers import LOOPS, ask_loop, ask_oracle, compare_on_surfaces, errors
+from validation.surfaces.answers import (
+    FAULTS,
+    LOOPS,
+    STIFFNESSES,
+    SurfaceFault,
+    ask_loop,
+    ask_oracle,
+    compare_on_surfaces,
+    errors,
+    plant_on_surfaces,
+    soft_contact_section,
+)
 from validation.surfaces.cases import MATERIALS, SHAPES, SMOOTH, displacement_of, draw_case
-from validation.surfaces.faults import FAULTS, SurfaceFault, plant_on_surfaces
-from validation.surfaces.mujoco import STIFFNESSES, soft_contact_section
 
 
 def drawn(count, seed=0):

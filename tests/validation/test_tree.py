@@ -9,7 +9,7 @@ import yourdfpy  # noqa: F401 - it takes a second, which no single test should b
 from validation.oracle import Joint, Link, Oracle, UnsupportedModel, build_tree, read_urdf
 from validation.oracle.spatial import rotation_from_rpy
 from validation.oracle.tree import joint_motion, parse_urdf
-from validation.random_trees import random_robot, random_state
+from validation.states import random_robot, random_state
 
 BODY = '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>'
 LIMIT = '<limit lower="-1" upper="1" effort="1" velocity="1"/>'

@@ -11,21 +11,13 @@ one. Read `problem` first, then `quantities`, which says how an engine is asked.
 
 from functools import lru_cache
 
-from validation.anchors.asked import Asked, EngineFactory
 from validation.anchors.problem import Case, Grade, ReferenceProblem, grade, grade_all
-from validation.anchors.quantities import QUANTITIES
+from validation.anchors.quantities import QUANTITIES, Asked, EngineFactory
 
 __all__ = [
-    "QUANTITIES",
-    "Asked",
-    "Case",
-    "EngineFactory",
-    "Grade",
-    "ReferenceProblem",
-    "grade",
-    "grade_all",
+    "QUANTITIES", "Asked", "Case", "EngineFactory", "Grade", "ReferenceProblem", "grade", "grade_all",
     "reference_problems",
-]
+]  # fmt: skip
 
 
 @lru_cache(maxsize=1)

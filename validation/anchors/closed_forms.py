@@ -65,16 +65,11 @@ def rod() -> tuple[ReferenceProblem, ...]:
     m, half, r = data["mass"], data["half_length"], data["radius"]
     thin = m * half**2 / 3.0
     parts = [
-        link("base"),
-        link("slide"),
-        link("hoist"),
-        link("rod", m, (0.0, 0.0, 0.0), (m * r**2 / 2.0, thin, thin)),
-        link(END),
-        joint("x", "prismatic", "base", "slide", axis=(1.0, 0.0, 0.0)),
-        joint("z", "prismatic", "slide", "hoist"),
-        joint("theta", "revolute", "hoist", "rod", axis=(0.0, -1.0, 0.0)),
+        link("base"), link("slide"), link("hoist"), link("rod", m, (0.0, 0.0, 0.0), (m * r**2 / 2.0, thin, thin)),
+        link(END), joint("x", "prismatic", "base", "slide", axis=(1.0, 0.0, 0.0)),
+        joint("z", "prismatic", "slide", "hoist"), joint("theta", "revolute", "hoist", "rod", axis=(0.0, -1.0, 0.0)),
         joint("to_end", "fixed", "rod", END, xyz=(-half, 0.0, 0.0)),
-    ]
+    ]  # fmt: skip
     cases = []
     for state in data["states"]:
         theta, mu = state["theta"], state["friction"]
@@ -140,12 +135,9 @@ def _bouncing(ball: Mapping[str, Any], source: str, g: float) -> ReferenceProble
     first = np.sqrt(2.0 * ball["height"] / g)
     gaps = 2.0 * first * e ** np.arange(1, count)
     inputs = {
-        "q": np.array([ball["height"]]),
-        "v": np.zeros(1),
-        "normal": np.array([0.0, 0.0, 1.0]),
-        "restitution": np.array(e),
-        "count": np.array(count),
-    }
+        "q": np.array([ball["height"]]), "v": np.zeros(1), "normal": np.array([0.0, 0.0, 1.0]),
+        "restitution": np.array(e), "count": np.array(count),
+    }  # fmt: skip
     expected = first + np.concatenate([[0.0], np.cumsum(gaps)])
     case = Case("times of impact", "impact_times", inputs, expected, np.array(IMPACT), IMPACT_WHY)
     return ReferenceProblem(f"bouncing ball, {ball['name']}", source, model, "ball", (case,))
@@ -161,11 +153,6 @@ PERIOD = 1e-10
 PERIOD_WHY = (
     "DOP853 at 1e-12 a step over some 50 steps, and its interpolation of order 7, in which the crossing is found"
 )
-
-
-def pendulums() -> tuple[ReferenceProblem, ...]:
-    """Return the simple and the physical pendulum."""
-    return _simple(), _physical()
 
 
 def _simple() -> ReferenceProblem:
@@ -280,13 +267,9 @@ def _contact(where: str, q: Array, v: Array, normal: Array, force: float) -> Ite
     rest, known = closed_form.terms(q, np.zeros(2)), closed_form.terms(q, v)
     pressing = rest.bias - rest.jacobian.T @ normal * force
     yield Case(
-        f"pressing torque, {where}",
-        "pressing_torque",
-        {"q": q, "force": -force * normal},
-        pressing,
-        np.array(TERMS),
+        f"pressing torque, {where}", "pressing_torque", {"q": q, "force": -force * normal}, pressing, np.array(TERMS),
         TERMS_WHY,
-    )
+    )  # fmt: skip
     A = normal @ known.jacobian
     a = -A * (normal @ known.drift) / (A @ A)
     torque = known.mass_matrix @ a + known.bias - A * force
@@ -300,4 +283,4 @@ def _contact(where: str, q: Array, v: Array, normal: Array, force: float) -> Ite
 
 def problems() -> tuple[ReferenceProblem, ...]:
     """Return the problems of this file."""
-    return (*chains(), *pendulums(), *planar_arm(), *point_mass(), *rod())
+    return (*chains(), _simple(), _physical(), *planar_arm(), *point_mass(), *rod())

@@ -14,8 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from validation.anchors.asked import Asked, EngineFactory
-from validation.anchors.quantities import QUANTITIES
+from validation.anchors.quantities import QUANTITIES, Asked, EngineFactory
 from validation.engines.interface import CannotBuild
 from validation.oracle.spatial import Array
 from validation.oracle.tree import RobotModel
@@ -188,14 +187,9 @@ def read(name: str) -> dict[str, Any]:
 
 
 def robot(
-    name: str,
-    parts: Sequence[str],
-    joint_names: Sequence[str],
-    tip: str,
-    *,
-    gravity: Sequence[float] = (0.0, 0.0, -9.81),
-    armature: Sequence[float] | Array | None = None,
-) -> Robot:
+    name: str, parts: Sequence[str], joint_names: Sequence[str], tip: str, *,
+    gravity: Sequence[float] = (0.0, 0.0, -9.81), armature: Sequence[float] | Array | None = None,
+) -> Robot:  # fmt: skip
     """Join links and joints to a robot; `joint_names` are the moving ones in column order."""
     text = f'<robot name="{name}">\n' + "\n".join(parts) + "\n</robot>\n"
     drives = np.zeros(len(joint_names)) if armature is None else np.array(armature, dtype=float)
@@ -215,15 +209,9 @@ def link(name: str, mass: float = 0.0, centre: Sequence[float] | None = None, mo
 
 
 def joint(
-    name: str,
-    kind: str,
-    parent: str,
-    child: str,
-    *,
-    xyz: Sequence[float] = (0.0, 0.0, 0.0),
-    rpy: Sequence[float] = (0.0, 0.0, 0.0),
-    axis: Sequence[float] = (0.0, 0.0, 1.0),
-) -> str:
+    name: str, kind: str, parent: str, child: str, *, xyz: Sequence[float] = (0.0, 0.0, 0.0),
+    rpy: Sequence[float] = (0.0, 0.0, 0.0), axis: Sequence[float] = (0.0, 0.0, 1.0),
+) -> str:  # fmt: skip
     """Return a joint of `kind` "revolute", "prismatic" or "fixed"; the child's frame sits at `xyz` [m], `rpy` [rad]."""
     moving = "" if kind == "fixed" else f'<axis xyz="{_vector(axis)}"/>{_LIMITS}'
     return (

@@ -42,7 +42,7 @@ def problems() -> tuple[ReferenceProblem, ...]:
     data = read("puma560")
     states, source = data["states"], data["source"]
     still, one = np.zeros(N), np.ones(N)
-    q, v, qdd = (np.array(states[name]) for name in ("qn", "qd", "qdd"))
+    q, v, qdd, turning, pulled = (np.array(states[x]) for x in ("qn", "qd", "qdd", "accel_qd", "accel_torque"))
 
     def case(name: str, quantity: str, key: str, plus: Array | float = 0.0, **inputs: Array) -> Case:
         published = data["published"][key]
@@ -57,7 +57,7 @@ def problems() -> tuple[ReferenceProblem, ...]:
         case("torque of unit accelerations", "inverse_dynamics", "rne_a", v=still, a=one),
         case("torque of unit rates", "inverse_dynamics", "rne_v", -_friction(data, one), v=one, a=still),
         case("torque of both", "inverse_dynamics", "rne_va", -_friction(data, one), v=one, a=one),
-        case("acceleration", "forward_dynamics", "accel", **_accel_inputs(data)),
+        case("acceleration", "forward_dynamics", "accel", v=turning, torque=pulled - _friction(data, turning)),
         case("torque under a tool load", "loaded_gravity_term", "rne_fext", wrench=np.array(states["fext"])),
         case("Cartesian inertia", "cartesian_inertia", "cinertia"),
         case("manipulability", "manipulability", "yoshikawa"),
@@ -75,11 +75,9 @@ def problems() -> tuple[ReferenceProblem, ...]:
 
 
 def build(data: Mapping[str, Any], g: float, *, possible: bool = True) -> Robot:
-    """Write the arm as URDF.
+    """Write the arm as URDF, with gravity g along −z, m/s², from the content of puma560.json.
 
-    data: content of puma560.json
-    g: gravity along −z [m/s²]
-    possible: every link a body that can exist, the motion unchanged; otherwise as printed, which most engines refuse
+    `possible`: every link a body that can exist, the motion unchanged; else as printed, which most engines refuse.
     """
     masses, moments = list(data["m"]), [list(row) for row in data["I"]]
     if possible:
@@ -128,11 +126,6 @@ def _friction(data: Mapping[str, Any], v: Array) -> Array:
     """Return the joint friction torque of the toolbox (n,), resisting v: B G² q̇ + |G| T_c."""
     G, B, coulomb = (np.array(data[name]) for name in ("G", "B", "Tc"))
     return np.asarray(B * G**2 * v + np.abs(G) * np.select([v > 0.0, v < 0.0], [coulomb[:, 0], coulomb[:, 1]]))
-
-
-def _accel_inputs(data: Mapping[str, Any]) -> dict[str, Array]:
-    v, torque = (np.array(data["states"][name]) for name in ("accel_qd", "accel_torque"))
-    return {"v": v, "torque": torque - _friction(data, v)}
 
 
 def _coriolis_torque(data: Mapping[str, Any], q: Array, v: Array) -> Case:

@@ -21,15 +21,6 @@ from validation.engines.interface import (
 from validation.engines.registry import ENGINES, available
 
 __all__ = [
-    "ENGINES",
-    "METHODS",
-    "CannotBuild",
-    "Engine",
-    "Missing",
-    "NotCovered",
-    "ProbeResult",
-    "Refused",
-    "available",
-    "installed",
-    "probe",
-]
+    "ENGINES", "METHODS", "CannotBuild", "Engine", "Missing", "NotCovered", "ProbeResult", "Refused", "available",
+    "installed", "probe",
+]  # fmt: skip

@@ -17,16 +17,8 @@ from scipy.spatial.transform import Rotation
 
 from closedloop import Problem
 from robot_models.coordinates import BALL, PLACES, RATES
-from validation.engines.interface import (
-    METHODS,
-    CannotBuild,
-    Engine,
-    Robot,
-    bare_mjcf,
-    bare_urdf,
-    refuse_balls,
-    root_link,
-)
+from validation.engines import interface
+from validation.engines.interface import METHODS, CannotBuild, Engine, Robot
 from validation.engines.trajectories import Trajectory, law
 from validation.oracle.spatial import Array
 
@@ -61,13 +53,11 @@ class Drake(Engine):
     package = "pydrake"
     install = 'pip install "drake>=1.50"'
     covers = frozenset(METHODS) - {"stabilised", "constrained", "impulse"}
-    cannot = MappingProxyType(
-        {
-            "stabilised": "it has no Baumgarte stabiliser; discrete constraints are held by compliance and relaxation",
-            "constrained": "no constraint of Drake holds a point on a plane, none acts on a continuous plant",
-            "impulse": "a discrete plant has impulses over a time step, compliant ones, and no restitution",
-        }
-    )
+    cannot = MappingProxyType({
+        "stabilised": "it has no Baumgarte stabiliser; discrete constraints are held by compliance and relaxation",
+        "constrained": "no constraint of Drake holds a point on a plane, none acts on a continuous plant",
+        "impulse": "a discrete plant has impulses over a time step, compliant ones, and no restitution",
+    })  # fmt: skip
 
     def __init__(self, robot: Robot, tip: str) -> None:
         super().__init__(robot, tip)
@@ -192,8 +182,7 @@ def _free_joints(robot: Robot) -> dict[str, str]:
 def build_plant(robot: Robot, time_step: float, scene_graph: Any = None) -> Any:
     """Return the robot as a plant that is not finalized yet, on a fixed base, locked joints welded.
 
-    time_step: 0 is a continuous plant [s]
-    scene_graph: where geometry is registered, for contact
+    A `time_step`, s, of 0 is a continuous plant; geometry is registered in `scene_graph`, for contact.
     """
     from pydrake.math import RigidTransform
     from pydrake.multibody.parsing import Parser
@@ -202,10 +191,10 @@ def build_plant(robot: Robot, time_step: float, scene_graph: Any = None) -> Any:
 
     sites: dict[str, tuple[str, Array]] = {}
     if robot.format == "urdf":
-        refuse_balls(robot, "drake, for a URDF,")
-        text = bare_urdf(robot.text)
+        interface.refuse_balls(robot, "drake, for a URDF,")
+        text = interface.bare_urdf(robot.text)
     else:
-        text, sites = bare_mjcf(robot.text)
+        text, sites = interface.bare_mjcf(robot.text)
     plant: Any = MultibodyPlant(time_step)
     if scene_graph is not None:
         plant.RegisterAsSourceForSceneGraph(scene_graph)
@@ -214,7 +203,7 @@ def build_plant(robot: Robot, time_step: float, scene_graph: Any = None) -> Any:
     except RuntimeError as error:
         raise CannotBuild(f"Drake refuses it: {str(error).splitlines()[0]}") from error
     if robot.format == "urdf":
-        root = plant.GetBodyByName(root_link(text))
+        root = plant.GetBodyByName(interface.root_link(text))
         if root.index() != plant.world_body().index():
             plant.WeldFrames(plant.world_frame(), root.body_frame())
     place: Any  # Drake's types name an array of float64 only
@@ -275,8 +264,9 @@ def slide_drake(of: Problem, *, stiffness: float = STIFFNESS, contact: bool = Tr
     from pydrake.multibody.plant import DiscreteContactApproximation
     from pydrake.systems.framework import DiagramBuilder
 
-    # For good, as Drake hands its messages to Python some time after they arise.
-    logging.getLogger("drake").addFilter(_not_about_deformables)
+    # Its warning that a half-space bears no deformable bodies is dropped, for good, as Drake hands its messages to
+    # Python some time after they arise.
+    logging.getLogger("drake").addFilter(lambda record: "deformable" not in record.getMessage())
     builder: Any = DiagramBuilder()
     scene: Any = builder.AddSystem(SceneGraph())
     plant: Any = builder.AddSystem(build_plant(of.robot.model, of.h, scene))
@@ -289,11 +279,6 @@ def slide_drake(of: Problem, *, stiffness: float = STIFFNESS, contact: bool = Tr
     builder.Connect(plant.get_geometry_pose_output_port(), scene.get_source_pose_port(plant.get_source_id()))
     builder.Connect(scene.get_query_output_port(), plant.get_geometry_query_input_port())
     return replace(_run(of, plant, builder.Build()), softness=1.0 / stiffness)
-
-
-def _not_about_deformables(record: logging.LogRecord) -> bool:
-    """Drop Drake's warning that a half-space bears no deformable bodies, of which there are none here."""
-    return "deformable" not in record.getMessage()
 
 
 def _add_contact(plant: Any, of: Problem, stiffness: float) -> None:

@@ -18,7 +18,7 @@ from closedloop import Problem
 from validation.engines.interface import METHODS, CannotBuild, Engine, Robot
 from validation.engines.trajectories import Trajectory, law
 from validation.oracle import UnsupportedModel, read_urdf
-from validation.oracle.spatial import Array
+from validation.oracle.spatial import Array, about_centre, axes_about
 from validation.oracle.tree import GROUND, Tree
 
 SOLVED = 1e-9
@@ -52,13 +52,11 @@ class Exudyn(Engine):
     package = "exudyn"
     install = 'pip install "exudyn>=1.13"'
     covers = frozenset(METHODS) - {"stabilised", "drift", "impulse"}
-    cannot = MappingProxyType(
-        {
-            "stabilised": "it holds constraints at position level in every step, by Newton, and needs no stabiliser",
-            "drift": "it has J̇ᵣq̇ as a difference quotient only, good to 1e-7 and undefined where A = 0",
-            "impulse": "joints know no impact; motions are smooth between steps",
-        }
-    )
+    cannot = MappingProxyType({
+        "stabilised": "it holds constraints at position level in every step, by Newton, and needs no stabiliser",
+        "drift": "it has J̇ᵣq̇ as a difference quotient only, good to 1e-7 and undefined where A = 0",
+        "impulse": "joints know no impact; motions are smooth between steps",
+    })  # fmt: skip
 
     def __init__(self, robot: Robot, tip: str) -> None:
         super().__init__(robot, tip)
@@ -178,10 +176,7 @@ def add_tree(system: Any, tree: Tree, tip: str, q: Array, v: Array) -> tuple[Any
     n = tree.size
     node = system.AddNode(
         items.NodeGenericODE2(
-            referenceCoordinates=np.zeros(n),
-            initialCoordinates=q,
-            initialCoordinates_t=v,
-            numberOfODE2Coordinates=n,
+            referenceCoordinates=np.zeros(n), initialCoordinates=q, initialCoordinates_t=v, numberOfODE2Coordinates=n
         )
     )
     turned = [axes_about(axis) for axis in tree.axis]
@@ -245,29 +240,13 @@ def quiet_settings() -> Any:
     return settings
 
 
-def axes_about(direction: Array) -> Array:
-    """Return a rotation (3, 3) whose third column is the unit vector `direction`."""
-    return complete(np.asarray(direction)[None, :])
-
-
 def complete(locks: Array) -> Array:
     """Return a rotation (3, 3) whose last columns are the k orthonormal rows of `locks`."""
     if len(locks) == 3:
         return np.array(locks).T
     if len(locks) == 2:
         return np.stack([np.cross(locks[0], locks[1]), *locks], axis=1)
-    across = np.cross(np.eye(3)[np.argmin(np.abs(locks[0]))], locks[0])
-    across /= np.linalg.norm(across)
-    return np.stack([across, np.cross(locks[0], across), locks[0]], axis=1)
-
-
-def about_centre(inertia: Array) -> tuple[float, Array, Array]:
-    """Return mass [kg], centre (3,) [m] and tensor (3, 3) about the centre out of a spatial inertia (6, 6)."""
-    mass = float(inertia[5, 5])
-    if mass == 0.0:
-        return 0.0, np.zeros(3), np.array(inertia[:3, :3])
-    block = inertia[:3, 3:] / mass  # c×
-    return mass, np.array([block[2, 1], block[0, 2], block[1, 0]]), inertia[:3, :3] + mass * block @ block
+    return axes_about(locks[0])
 
 
 def slide_exudyn(of: Problem, *, contact: bool = True) -> Trajectory:

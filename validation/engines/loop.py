@@ -1,6 +1,6 @@
 """This project's own loop, seen as one engine among the others.
 
-The package's own compiled engine, `closedloop.mechanics.robot.tree` inside `closedloop.simulation.engines.compiled`,
+The package's own compiled engine, `closedloop.mechanics.robot.tree` inside `closedloop.simulation.engines.loops`,
 as one engine among others.
 
 The terms are asked of `closedloop.mechanics.robot.tree` alone; q̈ and f of Eq. 24 are read from a row that the compiled
@@ -38,8 +38,7 @@ from closedloop.mechanics.robot.pinocchio import Robot as LoopRobot
 from closedloop.mechanics.robot.pinocchio import Terms
 from closedloop.mechanics.robot.tree import Tree, tree_of, tree_terms, work_size
 from closedloop.mechanics.surface.placed import contact_frame
-from closedloop.simulation.engines.compiled import compiled_terms, compiled_work, run_compiled
-from closedloop.simulation.engines.proceed import addresses_of, proceed_at
+from closedloop.simulation.engines.loops import addresses_of, compiled_terms, compiled_work, proceed_at, run_compiled
 from robot_models import RobotModel
 from validation.engines.interface import METHODS, CannotBuild, Engine, Robot
 from validation.oracle.spatial import Array
@@ -135,15 +134,9 @@ def as_robot_model(robot: Robot, tip: str) -> robot_models.RobotModel:
 
     def build(armature: Array) -> robot_models.RobotModel:
         return robot_models.from_text(
-            robot.text,
-            "urdf" if robot.format == "urdf" else "mjcf",
-            name="peer",
-            armature=armature,
-            tip=tip,
-            home=np.zeros(n),
-            locked=robot.locked,
-            gravity=robot.gravity,
-        )
+            robot.text, "urdf" if robot.format == "urdf" else "mjcf", name="peer", armature=armature, tip=tip,
+            home=np.zeros(n), locked=robot.locked, gravity=robot.gravity,
+        )  # fmt: skip
 
     of = dict(zip(robot.joint_names, np.asarray(robot.armature), strict=True))
     # The order of the columns is known once it is built.

@@ -13,17 +13,8 @@ import numpy as np
 
 from closedloop import Problem
 from robot_models.coordinates import PARTS, PLACES, RATES, coordinate_names, with_quaternions
-from validation.engines.interface import (
-    METHODS,
-    CannotBuild,
-    Engine,
-    Robot,
-    bare_urdf,
-    columns_of,
-    masses,
-    refuse_balls,
-    root_link,
-)
+from validation.engines import interface
+from validation.engines.interface import METHODS, CannotBuild, Engine, Robot
 from validation.engines.trajectories import Trajectory, law
 from validation.oracle.spatial import Array
 
@@ -63,12 +54,10 @@ class MuJoCo(Engine):
     package = "mujoco"
     install = 'pip install "mujoco>=3.17,!=4.0.0"'
     covers = frozenset(METHODS) - {"stabilised", "impulse"}
-    cannot = MappingProxyType(
-        {
-            "stabilised": "its reference acceleration is that of a soft constraint and leaves J̇ᵣq̇ out",
-            "impulse": "restitution is a side effect of damping and softness there; there is no impact law",
-        }
-    )
+    cannot = MappingProxyType({
+        "stabilised": "its reference acceleration is that of a soft constraint and leaves J̇ᵣq̇ out",
+        "impulse": "restitution is a side effect of damping and softness there; there is no impact law",
+    })  # fmt: skip
 
     def __init__(self, robot: Robot, tip: str) -> None:
         super().__init__(robot, tip)
@@ -181,8 +170,8 @@ def build_spec(robot: Robot, tip: str) -> Any:
     if mujoco.__version__ == "4.0.0":
         raise CannotBuild("MuJoCo 4.0.0 is refused: its sparse solver returns wrong accelerations")
     if robot.format == "urdf":
-        refuse_balls(robot, "mujoco, for a URDF,")
-    text = bare_urdf(robot.text) if robot.format == "urdf" else robot.text
+        interface.refuse_balls(robot, "mujoco, for a URDF,")
+    text = interface.bare_urdf(robot.text) if robot.format == "urdf" else robot.text
     try:
         spec = mujoco.MjSpec.from_string(text)
         compiler = spec.compiler
@@ -252,7 +241,7 @@ def _positions(model: Any, joint: int) -> list[tuple[str, int]]:
 def columns(model: Any, robot: Robot) -> Array:
     """Return the dof of each joint of the robot."""
     names = {model.joint(i).name: int(model.jnt_dofadr[i]) for i in range(model.njnt)}
-    return columns_of(names, robot, "mujoco")
+    return interface.columns_of(names, robot, "mujoco")
 
 
 def full_mass_matrix(model: Any, data: Any) -> Array:
@@ -308,7 +297,7 @@ def _weld(spec: Any, model: Any, robot: Robot) -> None:
 
 def _require_masses(model: Any, robot: Robot) -> None:
     """Refuse a model from which the reader has dropped, fused or balanced mass away."""
-    wanted, root = masses(robot.text), root_link(robot.text)
+    wanted, root = interface.masses(robot.text), interface.root_link(robot.text)
     for link, mass in wanted.items():
         if link != root and not np.isclose(model.body(link).mass[0], mass, rtol=1e-15, atol=0.0):
             raise CannotBuild(f"MuJoCo gives link {link!r} {model.body(link).mass[0]} kg, the text {mass} kg")

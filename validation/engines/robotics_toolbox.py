@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from validation.engines.interface import CannotBuild, Engine, Robot
-from validation.oracle.spatial import Array
+from validation.oracle.spatial import Array, about_centre, axes_about
 from validation.oracle.tree import GROUND, Tree, UnsupportedModel, read_urdf
 
 _NO_CLOSURE = "the toolbox simulates the open tree; it has no closure equation"
@@ -106,7 +106,7 @@ def _build(tree: Tree, tip: str) -> tuple[Any, list[int]]:
     rtb: Any = import_module("roboticstoolbox")  # its own types confuse its classes with the modules they stand in
     from spatialmath import SE3
 
-    turned = [_z_along(axis) for axis in tree.axis]
+    turned = [axes_about(axis) for axis in tree.axis]
 
     def pose(rotation: Array, translation: Array) -> Any:
         return rtb.ET.SE3(SE3(_homogeneous(rotation, translation), check=False))
@@ -116,19 +116,10 @@ def _build(tree: Tree, tip: str) -> tuple[Any, list[int]]:
         before = np.eye(3) if above == GROUND else turned[above].T
         placed = pose(before @ tree.rotation[i] @ turned[i], before @ tree.translation[i])
         moves = rtb.ET.tz(jindex=i) if tree.kinds[i] == "prismatic" else rtb.ET.Rz(jindex=i)
-        mass, centre, inertia = _mass_properties(tree.inertia[i])
-        links.append(
-            rtb.Link(
-                rtb.ETS([placed, moves]),
-                name=f"joint{i}",
-                parent="base" if above == GROUND else f"joint{above}",
-                m=mass,
-                r=turned[i].T @ centre,
-                I=turned[i].T @ inertia @ turned[i],
-                Jm=float(tree.armature[i]),
-                G=1.0,
-            )
-        )
+        mass, centre, inertia = about_centre(tree.inertia[i])
+        parent, body = "base" if above == GROUND else f"joint{above}", {"m": mass, "r": turned[i].T @ centre}
+        body |= {"I": turned[i].T @ inertia @ turned[i], "Jm": float(tree.armature[i]), "G": 1.0}
+        links.append(rtb.Link(rtb.ETS([placed, moves]), name=f"joint{i}", parent=parent, **body))
     frame = tree.frame(tip)
     after = turned[frame.body].T
     end = rtb.ETS([pose(after @ frame.rotation, after @ frame.translation)])
@@ -137,24 +128,7 @@ def _build(tree: Tree, tip: str) -> tuple[Any, list[int]]:
     return robot, [int(i) for i in np.flatnonzero(tree.supports[:, frame.body])]
 
 
-def _z_along(axis: Array) -> Array:
-    """Return a rotation (3, 3) whose z axis is the unit vector `axis`."""
-    first = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
-    first = first / np.linalg.norm(first)
-    return np.stack([first, np.cross(axis, first), axis], axis=1)
-
-
 def _homogeneous(rotation: Array, translation: Array) -> Array:
     out = np.eye(4)
     out[:3, :3], out[:3, 3] = rotation, translation
     return out
-
-
-def _mass_properties(inertia: Array) -> tuple[float, Array, Array]:
-    """Return mass [kg], centre (3,) [m] and inertia about it (3, 3) [kg m²] from a spatial inertia at the frame."""
-    mass = float(inertia[5, 5])
-    if mass == 0.0:
-        return 0.0, np.zeros(3), np.array(inertia[:3, :3])
-    moment = inertia[:3, 3:]
-    c = np.array([moment[2, 1], moment[0, 2], moment[1, 0]]) / mass
-    return mass, c, np.asarray(inertia[:3, :3] - mass * (float(c @ c) * np.eye(3) - np.outer(c, c)))

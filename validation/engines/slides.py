@@ -24,16 +24,16 @@ import numpy as np
 
 import closedloop
 from closedloop.loop.step.record_row import Row
+from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.mechanics.robot.tree import Tree, tree_of
 from closedloop.simulation.engines.problem import Problem
 from closedloop.simulation.simulate import run_loop
 from validation.engines.drake import Drake, slide_drake
 from validation.engines.exudyn import Exudyn, slide_exudyn
-from validation.engines.interface import Engine, Missing, installed
+from validation.engines.interface import EPS, Engine, Missing, Tolerance, installed
 from validation.engines.mujoco import IMPEDANCES, MuJoCo, slide_mujoco
 from validation.engines.trajectories import SHORT, Trajectory, at_zero, problem, slide_closedloop, slide_oracle
 from validation.oracle.spatial import Array
-from validation.tolerances import EPS, Tolerance
 
 SAME_SCHEME = Tolerance(
     "same scheme",
@@ -305,11 +305,11 @@ def record(problem: Problem, engine: str) -> Recorded:
 def faulty_tree(fault: Callable[[Tree], Tree | None]) -> Iterator[None]:
     """Give the compiled engine a faulty tree for a while; a tree that cannot carry the fault stays sound."""
 
-    def tree(of: Problem) -> Tree:
-        sound = tree_of(of.robot.model, of.robot.tip)
+    def tree(of: Robot) -> Tree:
+        sound = tree_of(of.model, of.tip)
         return fault(sound) or sound
 
-    with mock.patch("closedloop.simulation.engines.compiled.compiled_tree", tree):
+    with mock.patch("closedloop.simulation.engines.loops.compiled_tree", tree):
         yield
 
 
@@ -348,7 +348,7 @@ def twin(of: Problem, seed: int) -> Problem:
     """Return a problem with the start and all that is desired a few units in the last place beside."""
     rng = np.random.default_rng(seed)
     table = of.table * (1.0 + EPS * rng.uniform(-4.0, 4.0, of.table.shape))
-    return dataclasses.replace(of, q=of.q + EPS * rng.uniform(-4.0, 4.0, of.robot.n), table=table)
+    return dataclasses.replace(of.with_table(table), q=of.q + EPS * rng.uniform(-4.0, 4.0, of.robot.n))
 
 
 def compare_compiled(say: Callable[[str], None] = lambda text: None) -> Iterator[SlideCheck]:
@@ -374,14 +374,10 @@ def _columns(of: Problem, run: Recorded) -> dict[str, tuple[slice, float]]:
         return part, EPS * max(1.0, float(np.max(np.abs(rows[:, part])))) + extra
 
     return {
-        "q": part_of("q"),
-        "v": part_of("v", EPS * of.stabiliser[1] * of.h),
-        "Q": part_of("torque", answer),
-        "r": part_of("position"),
-        "ṙ": part_of("velocity", EPS * of.stabiliser[1] * of.h),
-        "f": part_of("contact_force", answer),
-        "e": part_of("closure_error"),
-    }
+        "q": part_of("q"), "v": part_of("v", EPS * of.stabiliser[1] * of.h), "Q": part_of("torque", answer),
+        "r": part_of("position"), "ṙ": part_of("velocity", EPS * of.stabiliser[1] * of.h),
+        "f": part_of("contact_force", answer), "e": part_of("closure_error"),
+    }  # fmt: skip
 
 
 def _spread(run: Recorded, twins: list[Recorded], columns: slice) -> Array:

@@ -126,7 +126,9 @@ class _Chain:
             while turns and any(exponents[2 * k + 1] > 1 for exponents in polynomial):
                 high = {e: x for e, x in polynomial.items() if e[2 * k + 1] > 1}
                 rest = self.ring.from_dict({e: x for e, x in polynomial.items() if e[2 * k + 1] <= 1})
-                lower = self.ring.from_dict({_less(e, 2 * k + 1): x for e, x in high.items()})
+                lower = self.ring.from_dict(
+                    {(*e[: 2 * k + 1], e[2 * k + 1] - 2, *e[2 * k + 2 :]): x for e, x in high.items()}
+                )
                 polynomial = rest + lower * (1 - c**2)
         return polynomial
 
@@ -193,10 +195,6 @@ class _Chain:
         return np.asarray(np.frompyfunc(self.reduced, 1, 1)(x))
 
 
-def _less(exponents: tuple[int, ...], at: int) -> tuple[int, ...]:
-    return (*exponents[:at], exponents[at] - 2, *exponents[at + 1 :])
-
-
 def _link(joint: Any, end: str) -> str:
     return str(joint.find(end).get("link"))
 
@@ -233,6 +231,8 @@ def _cross(a: Array) -> Array:
 
 
 MOST_JOINTS = 4
+# What is one of the matrices that are derived.
+BY_NAME = {"mass_matrix": "H", "position": "r", "jacobian": "J"}
 
 
 class Symbolic(Engine):
@@ -267,12 +267,9 @@ class Symbolic(Engine):
         if robot.locked:
             raise CannotBuild("it locks no joints")
         self._made = derive(
-            robot.text,
-            tip,
-            tuple(robot.joint_names),
-            tuple(float(x) for x in robot.armature),
+            robot.text, tip, tuple(robot.joint_names), tuple(float(x) for x in robot.armature),
             tuple(float(x) for x in robot.gravity),
-        )
+        )  # fmt: skip
 
     def exact(self, method: str, *arguments: Any) -> Any:
         """Return a method's result as mpmath numbers: a matrix, or for `constrained` and `impulse` a pair."""
@@ -281,7 +278,7 @@ class Symbolic(Engine):
         with mpmath.workprec(BITS):
             q, *others = [mpmath.matrix(np.atleast_1d(x).tolist()) for x in arguments]
             at = Values(self._made, q)
-            return getattr(self, f"_{method}")(at, *others)
+            return at.matrix(BY_NAME[method]) if method in BY_NAME else getattr(self, f"_{method}")(at, *others)
 
     def mass_matrix(self, q: Array) -> Array:
         return _matrix(self.exact("mass_matrix", q))
@@ -315,9 +312,6 @@ class Symbolic(Engine):
         after, p = self.exact("impulse", q, v, normal, restitution)
         return _vector(after), float(p)
 
-    def _mass_matrix(self, at: Values) -> Any:
-        return at.matrix("H")
-
     def _bias(self, at: Values, v: Any) -> Any:
         import mpmath
 
@@ -326,12 +320,6 @@ class Symbolic(Engine):
             C[i] += mpmath.fsum(slopes[k][i, j] * v[j] * v[k] for j in range(self.n) for k in range(self.n))
             C[i] -= (v.T * slopes[i] * v)[0] / 2
         return C
-
-    def _position(self, at: Values) -> Any:
-        return at.matrix("r")
-
-    def _jacobian(self, at: Values) -> Any:
-        return at.matrix("J")
 
     def _drift(self, at: Values, v: Any) -> Any:
         import mpmath
@@ -344,7 +332,7 @@ class Symbolic(Engine):
         return mpmath.lu_solve(at.matrix("H"), torque - self._bias(at, v))
 
     def _stabilised(self, at: Values, v: Any, normal: Any, offset: Any, gains: Any) -> Any:
-        e = (normal.T * self._position(at))[0] - offset[0]
+        e = (normal.T * at.matrix("r"))[0] - offset[0]
         rate = (normal.T * at.matrix("J") * v)[0]
         return -(normal.T * self._drift(at, v))[0] - gains[0] * rate - gains[1] * e
 

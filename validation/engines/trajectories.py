@@ -71,15 +71,10 @@ def slide_oracle(of: Problem) -> Trajectory:
         pair = stabiliser.damping_ratio, float(of.stabiliser[1] ** -0.5)
     began = clock.perf_counter()
     run = simulate_slide(
-        Oracle.from_model(of.robot.model, of.robot.tip),
-        q=of.q,
-        v=of.v,
-        q_des=of.path[:, 0],
-        v_des=of.path[:, 1],
-        step=of.h,
-        law=Law(of.gains[0], of.gains[1], float(of.settings[0]), float(of.settings[1])),
+        Oracle.from_model(of.robot.model, of.robot.tip), q=of.q, v=of.v, q_des=of.path[:, 0], v_des=of.path[:, 1],
+        step=of.h, law=Law(of.gains[0], of.gains[1], float(of.settings[0]), float(of.settings[1])),
         closure=Closure(of.plane.normal, of.plane.offset, pair),
-    )
+    )  # fmt: skip
     seconds = clock.perf_counter() - began
     return Trajectory("oracle", run.time, run.q, run.v, run.contact_force, run.closure_error, of.h, seconds=seconds)
 
@@ -106,11 +101,6 @@ def at_zero(runs: Sequence[Trajectory], parameters: Sequence[float]) -> Trajecto
         return np.asarray(sum(w * getattr(run, name) for w, run in zip(weights, runs, strict=True)))
 
     return replace(
-        runs[0],
-        q=limit("q"),
-        v=limit("v"),
-        contact_force=limit("contact_force"),
-        closure_error=limit("closure_error"),
-        softness=0.0,
-        seconds=sum(run.seconds for run in runs),
-    )
+        runs[0], q=limit("q"), v=limit("v"), contact_force=limit("contact_force"), closure_error=limit("closure_error"),
+        softness=0.0, seconds=sum(run.seconds for run in runs),
+    )  # fmt: skip

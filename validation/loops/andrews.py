@@ -23,7 +23,7 @@ import robot_models
 from closedloop.record.run import Run
 from robot_models import RobotModel
 from validation.anchors.problem import read
-from validation.loops.mechanisms import joint, loop, point
+from validation.loops.cases import joint, loop, point
 from validation.oracle.spatial import Array
 from validation.report import Check, Section
 
@@ -310,7 +310,7 @@ CLOSED = 1e-12
 def compare_with_published(quick: bool) -> Section:
     """Compare runs of published mechanisms with what is printed of them, and with their own equations.
 
-    quick: leaves out what takes more than a few seconds: the forty windows, and energy over a minute
+    Quick, what takes more than a few seconds is left out: the forty windows, and energy over a minute.
     """
     section = Section("published mechanisms with loops: values as printed")
     section.checks += _andrews()

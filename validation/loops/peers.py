@@ -15,14 +15,13 @@ import numpy as np
 
 from robot_models.loop_joint import WORLD, LoopJoint
 from validation.engines.exudyn import Exudyn, add_marker, add_tree, quiet_settings
-from validation.engines.interface import CannotBuild
+from validation.engines.interface import CannotBuild, Tolerance
 from validation.engines.mujoco import MuJoCo, build_spec, columns, compile_spec, solve_to_rounding
 from validation.engines.pinocchio_cpp import PinocchioCpp
 from validation.loops.cases import Case, mechanism_called, oracle_of
 from validation.oracle.loops import COUPLES, FORCES, joint_axes
 from validation.oracle.spatial import Array
 from validation.oracle.tree import GROUND
-from validation.tolerances import Tolerance
 
 
 class LoopPeer:

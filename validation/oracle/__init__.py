@@ -11,15 +11,6 @@ from validation.oracle.engine import Law, Oracle, Slide, Terms, simulate_slide
 from validation.oracle.tree import Joint, Link, Tree, UnsupportedModel, build_tree, read_urdf
 
 __all__ = [
-    "Joint",
-    "Law",
-    "Link",
-    "Oracle",
-    "Slide",
-    "Terms",
-    "Tree",
-    "UnsupportedModel",
-    "build_tree",
-    "read_urdf",
+    "Joint", "Law", "Link", "Oracle", "Slide", "Terms", "Tree", "UnsupportedModel", "build_tree", "read_urdf",
     "simulate_slide",
-]
+]  # fmt: skip

@@ -14,15 +14,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from validation.oracle.kinematics import (
-    Pose,
-    body_velocities,
-    loop_jacobians,
-    point_velocity,
-    spatial_drift,
-    tip_position,
-    tip_rotation,
-)
+from validation.oracle import kinematics
+from validation.oracle.kinematics import Pose
 from validation.oracle.spatial import Array, skew
 from validation.oracle.tree import GROUND, Tree
 
@@ -87,27 +80,19 @@ def weld(tip: str, point: Array, rotation: Array, base: str | None = None) -> Lo
 
 
 def constraint_matrix(normals: Array, r: Array, *, couples: bool = False) -> Array:
-    """Return R of Eq. 2, whose columns (r×n, n) span the force that the loop joint can bear.
+    """Return R (6, k) of Eq. 2, whose columns (r×n, n) span the force that the loop joint can bear, at O.
 
-    The motion is restricted to Rᵀ (vₙ − v₀) = 0, and the force that this takes is R f.
-
-    normals: (k, 3) directions of the forces, base frame
-    r: (3,) the tip [m]
-    couples: add three columns of pure couple, which stop the tip from turning
-    Returns (6, k) or (6, k + 3) force vectors at O.
+    The motion is restricted to Rᵀ (vₙ − v₀) = 0, and the force that this takes is R f. The forces are through the tip
+    r (3,) along normals (k, 3); `couples` adds three columns of pure couple, which stop the tip from turning.
     """
     forces = np.concatenate([normals @ skew(r).T, normals], axis=1).T
     return np.concatenate([forces, np.eye(6)[:, :3]], axis=1) if couples else np.asarray(forces)
 
 
 def constraint_matrix_rate(normals: Array, r: Array, r_dot: Array, omega: Array, *, couples: bool = False) -> Array:
-    """Return Ṙ as the tip moves at ṙ and the normals turn at ω with what they are fixed to: Ṙ of Eq. 3.
+    """Return Ṙ of `constraint_matrix` as the tip moves at ṙ (3,) and the normals turn at ω (3,): Ṙ of Eq. 3.
 
-    normals: (k, 3) base frame
-    r, r_dot: (3,) the tip and its velocity [m], [m/s]
-    omega: (3,) angular velocity of the normals [rad/s]
-    couples: as for `constraint_matrix`; the three couples along the base axes do not turn
-    Returns (6, k) or (6, k + 3).
+    The three couples along the base axes do not turn.
     """
     turning = normals @ skew(omega).T
     forces = np.concatenate([normals @ skew(r_dot).T + turning @ skew(r).T, turning], axis=1).T
@@ -115,11 +100,7 @@ def constraint_matrix_rate(normals: Array, r: Array, r_dot: Array, omega: Array,
 
 
 def closure_torque(R: Array, J: Array, f: Array) -> Array:
-    """Return Jᵀ R f, what the closure force adds to Q in H q̈ + C = Q + Jᵀ R f (Eq. 7; T_equ of Eq. 1).
-
-    R: (6, m); J: (6, n) loop Jacobian Jₙ − J₀; f: (m,) on the robot's tip [N] or [N m]
-    Returns (n,).
-    """
+    """Return Jᵀ R f (n,), what the closure force f (m,) adds to Q in H q̈ + C = Q + Jᵀ R f (Eq. 7; T_equ of Eq. 1)."""
     return np.asarray(J.T @ (R @ f))
 
 
@@ -132,27 +113,29 @@ def loop_rows(tree: Tree, pose: Pose, v: Array, joint: LoopJoint) -> Rows:
     where that error is zero.
     """
     v = np.asarray(v)
-    r = tip_position(tree, pose, joint.tip)
+    r = kinematics.tip_position(tree, pose, joint.tip)
     other = GROUND if joint.base is None else tree.frame(joint.base).body
     body = tree.frame(joint.tip).body
     ground = np.zeros(6, dtype=np.result_type(pose.axes, v))
-    velocities = body_velocities(tree, pose, v)
+    velocities = kinematics.body_velocities(tree, pose, v)
     v_n, v_0 = (ground if i == GROUND else velocities[i] for i in (body, other))
     origin, axes = (
         (np.zeros(3), np.eye(3))
         if joint.base is None
-        else (tip_position(tree, pose, joint.base), tip_rotation(tree, pose, joint.base))
+        else (kinematics.tip_position(tree, pose, joint.base), kinematics.tip_rotation(tree, pose, joint.base))
     )
     normals = joint.normals @ axes.T
     couples = joint.rotation is not None
     R = constraint_matrix(normals, r, couples=couples)
-    R_dot = constraint_matrix_rate(normals, r, point_velocity(v_n, r), v_0[:3], couples=couples)
-    J_0, J_n = loop_jacobians(tree, pose, joint.tip, joint.base)
+    R_dot = constraint_matrix_rate(normals, r, kinematics.point_velocity(v_n, r), v_0[:3], couples=couples)
+    J_0, J_n = kinematics.loop_jacobians(tree, pose, joint.tip, joint.base)
     A = R.T @ (J_n - J_0)
-    drift = R_dot.T @ (v_n - v_0) + R.T @ (spatial_drift(tree, pose, v, body) - spatial_drift(tree, pose, v, other))
+    drift = R_dot.T @ (v_n - v_0) + R.T @ (
+        kinematics.spatial_drift(tree, pose, v, body) - kinematics.spatial_drift(tree, pose, v, other)
+    )
     error = normals @ (r - origin) - joint.offsets
     if joint.rotation is not None:
-        turned = tip_rotation(tree, pose, joint.tip) @ (axes @ joint.rotation).T
+        turned = kinematics.tip_rotation(tree, pose, joint.tip) @ (axes @ joint.rotation).T
         twice = turned - turned.T
         error = np.concatenate([error, np.array([twice[2, 1], twice[0, 2], twice[1, 0]]) / 2])
     return Rows(A, np.asarray(drift), np.asarray(error), np.asarray(A @ v))
@@ -181,8 +164,7 @@ def stabiliser_gains(damping_ratio: float, time_constant: float) -> tuple[float,
 def stabilised_drift(drift: Array, error: Array, rate: Array, gains: tuple[float, float]) -> Array:
     """Return b_s = −nᵀJ̇ᵣq̇ − s_v ė − s_p e, the ë + s_v ė + s_p e = 0 that Eq. 24 solves for (Eq. 23).
 
-    drift, error, rate: nᵀJ̇ᵣq̇, e and ė: scalars, or (m,)
-    gains: s_v [1/s], s_p [1/s²]; (0, 0) is no stabiliser
+    nᵀJ̇ᵣq̇, e and ė are scalars, or (m,); gains s_v, 1/s, and s_p, 1/s², of zero are no stabiliser.
     """
     s_v, s_p = gains
     return np.asarray(-drift - s_v * rate - s_p * error)

@@ -31,27 +31,24 @@ def mass_matrix_by_newton_euler(tree: Tree, pose: Pose) -> Array:
     The method of Walker and Orin (1982), which the paper calls easy to implement but costly beside the composite
     bodies of `mass_matrix`: n passes over n bodies are O(n²), with the whole of a pass for each.
     """
-    columns = [_newton_euler(tree, pose, np.zeros(tree.size), unit, np.zeros(3)) for unit in np.eye(tree.size)]
-    return np.stack(columns, axis=1)
+    still, free = np.zeros(tree.size), np.zeros(3)
+    return np.stack([inverse_dynamics(tree, pose, still, unit, gravity=free) for unit in np.eye(tree.size)], axis=1)
 
 
-def inverse_dynamics(tree: Tree, pose: Pose, v: Array, a: Array, *, push: Array | None = None) -> Array:
-    """Return Q = H q̈ + C − (what `push` does) of Eq. 8 by recursive Newton–Euler.
+def inverse_dynamics(
+    tree: Tree, pose: Pose, v: Array, a: Array, *, push: Array | None = None, gravity: Array | None = None
+) -> Array:
+    """Return Q = H q̈ + C − (what `push` does) (n,) of Eq. 8 at q̇, q̈ (n,), by recursive Newton–Euler.
 
-    v, a: (n,) joint rates q̇ and accelerations q̈
     push: (n, 6) force vectors at O that the surroundings exert on the bodies; none by default
-    Returns (n,) [N m] or [N].
+    gravity: (3,), another than the tree's
     """
-    return _newton_euler(tree, pose, v, a, tree.gravity, push)
-
-
-def _newton_euler(tree: Tree, pose: Pose, v: Array, a: Array, gravity: Array, push: Array | None = None) -> Array:
     v, a = np.asarray(v), np.asarray(a)
     velocity = body_velocities(tree, pose, v)
     own = pose.axes * a[:, None] + axis_rates(pose, velocity) * v[:, None]
     acceleration = accelerations(tree, own)
     # Weight is the force that would accelerate the bodies upwards in free space: a_0 = −g.
-    acceleration[:, 3:] = acceleration[:, 3:] - gravity
+    acceleration[:, 3:] = acceleration[:, 3:] - (tree.gravity if gravity is None else gravity)
     momentum = pose.inertia @ velocity[..., None]
     force = (pose.inertia @ acceleration[..., None] + cross_force(velocity) @ momentum)[..., 0]
     carried = sum_over_carried(tree, force if push is None else force - push)
@@ -84,14 +81,11 @@ def forward_dynamics(tree: Tree, pose: Pose, v: Array, torque: Array) -> Array:
 
 
 def coriolis_matrix(tree: Tree, pose: Pose, v: Array) -> Array:
-    """Return the matrix with C = (matrix) q̇ + gravity term that makes Ḣ − 2 (matrix) skew-symmetric.
+    """Return the matrix (n, n) with C = (matrix) q̇ + gravity term that makes Ḣ − 2 (matrix) skew-symmetric.
 
     It is Σ_i J_iᵀ (I_i J̇_i + B_i J_i) with B_i = ½ [ v_i×* I_i − I_i v_i× + (I_i v_i)×̄* ]: that B_i v_i =
     v_i×* I_i v_i and B_i + B_iᵀ = İ_i give the two properties (Echeandia and Wensing, 2021: these are the
     Christoffel symbols).
-
-    v: (n,) joint rates q̇
-    Returns (n, n).
     """
     velocity = body_velocities(tree, pose, v)
     rates = axis_rates(pose, velocity)

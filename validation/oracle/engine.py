@@ -10,13 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from validation.oracle import dynamics, kinematics
-from validation.oracle.closure import (
-    closure_error,
-    closure_rate,
-    solve_bordered,
-    stabilised_drift,
-    stabiliser_gains,
-)
+from validation.oracle.closure import closure_error, closure_rate, solve_bordered, stabilised_drift, stabiliser_gains
 from validation.oracle.kinematics import Pose, forward_kinematics
 from validation.oracle.spatial import Array, skew
 from validation.oracle.tree import GROUND, RobotModel, Tree, UnsupportedModel, read_urdf
@@ -215,15 +209,7 @@ def control_law(
 
 
 def simulate_slide(
-    oracle: Oracle,
-    *,
-    q: Array,
-    v: Array,
-    q_des: Array,
-    v_des: Array,
-    step: float,
-    law: Law,
-    closure: Closure,
+    oracle: Oracle, *, q: Array, v: Array, q_des: Array, v_des: Array, step: float, law: Law, closure: Closure
 ) -> Slide:
     """Slide the tip along a plane: at each t_k Eq. 33, Eq. 23, Eq. 24, then v⁺ = v + h q̈, q⁺ = q + h v⁺.
 

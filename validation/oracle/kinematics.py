@@ -10,14 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from validation.oracle.spatial import (
-    Array,
-    cos_sin,
-    cross_motion,
-    inertia_to_base,
-    motion_to_base,
-    skew,
-)
+from validation.oracle.spatial import Array, cos_sin, cross_motion, inertia_to_base, motion_to_base, skew
 from validation.oracle.tree import GROUND, Tree
 
 
@@ -38,10 +31,7 @@ class Pose:
 
 
 def forward_kinematics(tree: Tree, q: Array) -> Pose:
-    """Place every body: from the base outwards, R_i = R_λ R_tree R_joint(q_i).
-
-    q: (n,) [rad] or [m]
-    """
+    """Place every body at q (n,), rad or m: from the base outwards, R_i = R_λ R_tree R_joint(q_i)."""
     q = np.asarray(q)
     n, dtype = tree.size, np.result_type(q, np.float64)
     cos, sin = cos_sin(q)
@@ -76,11 +66,7 @@ def joint_axes(tree: Tree, rotation: Array, position: Array) -> Array:
 
 
 def body_velocities(tree: Tree, pose: Pose, v: Array) -> Array:
-    """Return the spatial velocity of every body, v_i = v_λ(i) + s_i q̇_i with v_0 = 0: J q̇ of Eq. 4.
-
-    v: (n,) joint rates q̇ [rad/s] or [m/s]
-    Returns (n, 6) motion vectors at O.
-    """
+    """Return the spatial velocities (n, 6) of bodies at q̇ (n,), v_i = v_λ(i) + s_i q̇_i, v_0 = 0: J q̇ of Eq. 4."""
     out = pose.axes * np.asarray(v)[:, None]
     for i, above in enumerate(tree.parent):
         if above != GROUND:
@@ -89,20 +75,12 @@ def body_velocities(tree: Tree, pose: Pose, v: Array) -> Array:
 
 
 def axis_rates(pose: Pose, velocities: Array) -> Array:
-    """Return ṡ_i = v_i × s_i, the rate of a joint axis carried along by its body (in Eq. 28).
-
-    velocities: (n, 6) of the bodies, at O
-    Returns (n, 6).
-    """
+    """Return ṡ_i = v_i × s_i (n, 6), the rates of joint axes carried along by their bodies at v (n, 6) (in Eq. 28)."""
     return np.asarray((cross_motion(velocities) @ pose.axes[..., None])[..., 0])
 
 
 def bias_accelerations(tree: Tree, pose: Pose, v: Array) -> Array:
-    """Return all bodies' accelerations at q̈ = 0, a_i = a_λ(i) + v_i × s_i q̇_i, a_0 = 0 (Eq. 31, Eq. 32).
-
-    v: (n,) joint rates q̇ [rad/s] or [m/s]
-    Returns (n, 6) motion vectors at O.
-    """
+    """Return all bodies' accelerations (n, 6) at q̈ = 0, a_i = a_λ(i) + v_i × s_i q̇_i, a_0 = 0 (Eq. 31, Eq. 32)."""
     return accelerations(tree, axis_rates(pose, body_velocities(tree, pose, v)) * np.asarray(v)[:, None])
 
 
@@ -119,24 +97,17 @@ def accelerations(tree: Tree, own: Array) -> Array:
 
 
 def spatial_jacobian(tree: Tree, pose: Pose, body: int) -> Array:
-    """Return J of a body: its column i is s_i if joint i carries the body, else zero; v_body = J q̇ (Eq. 25, Eq. 4).
-
-    Returns (6, n) motion vectors at O; all zero for `GROUND`.
-    """
+    """Return J (6, n) of a body: column i is s_i if joint i carries it, else zero; v_body = J q̇ (Eq. 25, Eq. 4)."""
     if body == GROUND:
         return np.zeros((6, tree.size), dtype=pose.axes.dtype)
     return np.asarray((pose.axes * tree.supports[:, body, None]).T)
 
 
 def toolbox_jacobians(jacobian: Array, r: Array, rotation: Array) -> tuple[Array, Array]:
-    """Return J₀ and Jₙ of the Robotics Toolbox from J (Eq. 26, Eq. 27).
+    """Return J₀ and Jₙ (6, n) of the Robotics Toolbox, angular rows first, from J at O (Eq. 26, Eq. 27).
 
-    Both are of the point r, along the base axes and along the axes of the tip's frame.
-
-    jacobian: (6, n) spatial Jacobian at O (Eq. 25)
-    r: (3,) base frame [m]
-    rotation: (3, 3) axes of the tip's frame in base axes; its transpose is the paper's E
-    Returns (6, n), angular rows first.
+    Both are of the point r (3,), along the base axes and along the axes of the tip's frame, `rotation` (3, 3) in base
+    axes; its transpose is the paper's E.
     """
     at_tip = np.concatenate([jacobian[:3], translational_jacobian(jacobian, r)])
     own = rotation.T
@@ -144,24 +115,19 @@ def toolbox_jacobians(jacobian: Array, r: Array, rotation: Array) -> tuple[Array
 
 
 def loop_jacobians(tree: Tree, pose: Pose, tip: str, base: str | None = None) -> tuple[Array, Array]:
-    """Return the Jacobians of the two links that the loop joint connects, link 0 and link n (Eq. 4).
+    """Return the Jacobians (6, n) of the two links that the loop joint connects, link 0 and link n (Eq. 4).
 
     The velocity across the loop joint is their difference times q̇. With the surface at rest the first is zero.
-
-    tip: link on the tip's side of the loop joint
-    base: link on the other side; None is the ground
-    Returns (6, n) at O.
+    `base` is the link on the side that is not the tip's; None is the ground.
     """
     other = GROUND if base is None else tree.frame(base).body
     return spatial_jacobian(tree, pose, other), spatial_jacobian(tree, pose, tree.frame(tip).body)
 
 
 def spatial_drift(tree: Tree, pose: Pose, v: Array, body: int) -> Array:
-    """Return J̇q̇ of a body, by the recursion: the acceleration that its velocity alone gives it.
+    """Return J̇q̇ (6,) of a body, by the recursion: the acceleration that its velocity alone gives it.
 
     It is a_n^vp of Eq. 30, the last term of Eq. 5 and of Eq. 29.
-
-    Returns (6,) motion vector at O.
     """
     if body == GROUND:
         return np.zeros(6, dtype=np.result_type(pose.axes, v))
@@ -185,34 +151,20 @@ def tip_rotation(tree: Tree, pose: Pose, tip: str) -> Array:
 
 
 def point_velocity(velocity: Array, r: Array) -> Array:
-    """Return ṙ = v_O + ω × r of the body-fixed point at r (Eq. 16).
-
-    velocity: (6,) spatial velocity of the body, at O
-    r: (3,) base frame [m]
-    Returns (3,) [m/s].
-    """
+    """Return ṙ = v_O + ω × r (3,), m/s, of the body-fixed point at r (3,), from the body's velocity (6,) (Eq. 16)."""
     return np.asarray(velocity[3:] + skew(velocity[:3]) @ r)
 
 
 def translational_jacobian(jacobian: Array, r: Array) -> Array:
-    """Return Jᵣ = J_lin − r×J_ang, so that ṙ = Jᵣ q̇ (Eq. 13, with r× of Eq. 14).
-
-    jacobian: (6, n) spatial Jacobian at O
-    r: (3,) base frame [m]
-    Returns (3, n).
-    """
+    """Return Jᵣ = J_lin − r×J_ang (3, n) of the point r (3,), so that ṙ = Jᵣ q̇ (Eq. 13, with r× of Eq. 14)."""
     return np.asarray(jacobian[3:] - skew(r) @ jacobian[:3])
 
 
 def point_acceleration(acceleration: Array, velocity: Array, r: Array) -> Array:
-    """Return r̈ = a_O + ω̇ × r + ω × ṙ of the body-fixed point at r (Eq. 17).
+    """Return r̈ = a_O + ω̇ × r + ω × ṙ (3,), m/s², of the body-fixed point at r (3,) (Eq. 17).
 
-    With the spatial bias acceleration J̇q̇ as `acceleration`, this is the drift J̇ᵣq̇: Eq. 18.
-
-    acceleration: (6,) spatial acceleration of the body (ω̇, a_O), at O; a_O is not a point's acceleration
-    velocity: (6,) its spatial velocity, at O
-    r: (3,) base frame [m]
-    Returns (3,) [m/s²].
+    With the spatial bias acceleration J̇q̇ as `acceleration`, this is the drift J̇ᵣq̇: Eq. 18. Acceleration (ω̇, a_O)
+    and velocity (6,) are spatial, at O; a_O is not a point's acceleration.
     """
     r_dot = point_velocity(velocity, r)
     return np.asarray(acceleration[3:] + skew(acceleration[:3]) @ r + skew(velocity[:3]) @ r_dot)

@@ -19,18 +19,11 @@ from typing import Protocol
 
 import numpy as np
 
+from validation.oracle import kinematics
 from validation.oracle.closure import constraint_matrix
 from validation.oracle.dynamics import bias, mass_matrix
 from validation.oracle.engine import Oracle
-from validation.oracle.kinematics import (
-    Pose,
-    body_velocities,
-    point_velocity,
-    spatial_drift,
-    spatial_jacobian,
-    tip_position,
-    tip_rotation,
-)
+from validation.oracle.kinematics import Pose
 from validation.oracle.spatial import Array, skew
 from validation.oracle.tree import GROUND
 
@@ -175,13 +168,13 @@ class LoopOracle:
         if joint.type == "gear":
             return self._gear(joint, q, v)
         tree = self.oracle.tree
-        velocities = body_velocities(tree, pose, v)
+        velocities = kinematics.body_velocities(tree, pose, v)
         (a, r_a, axes_a), (b, r_b, axes_b) = (self._side(joint, pose, k) for k in range(2))
         v_a, v_b = (np.zeros(6) if body == GROUND else velocities[body] for body in (a, b))
-        r_dot = point_velocity(v_a, r_a)
+        r_dot = kinematics.point_velocity(v_a, r_a)
         if joint.type == "distance":
             along = (r_a - r_b) / joint.length
-            turning = self.rod_rate(along, r_dot - point_velocity(v_b, r_b), joint.length)
+            turning = self.rod_rate(along, r_dot - kinematics.point_velocity(v_b, r_b), joint.length)
             R = constraint_matrix(along[None, :], r_a)
             rate = np.concatenate([np.cross(r_dot, along) + np.cross(r_a, turning), turning])[:, None]
             forces = 1
@@ -194,8 +187,8 @@ class LoopOracle:
             still = np.zeros((3, len(couples)))
             R = np.concatenate([R, np.concatenate([couples.T, still])], axis=1)
             rate = np.concatenate([rate, np.concatenate([turning.T, still])], axis=1)
-        A = R.T @ (spatial_jacobian(tree, pose, a) - spatial_jacobian(tree, pose, b))
-        a_a, a_b = (spatial_drift(tree, pose, v, body) for body in (a, b))
+        A = R.T @ (kinematics.spatial_jacobian(tree, pose, a) - kinematics.spatial_jacobian(tree, pose, b))
+        a_a, a_b = (kinematics.spatial_drift(tree, pose, v, body) for body in (a, b))
         return LoopRows(A, rate.T @ (v_a - v_b) + R.T @ (a_a - a_b), forces)
 
     def _gear(self, joint: LoopJoint, q: Array, v: Array) -> LoopRows:
@@ -217,7 +210,11 @@ class LoopOracle:
         if frame == WORLD:
             body, at, axes = GROUND, np.zeros(3), np.eye(3)
         else:
-            body, at, axes = tree.frame(frame).body, tip_position(tree, pose, frame), tip_rotation(tree, pose, frame)
+            body, at, axes = (
+                tree.frame(frame).body,
+                kinematics.tip_position(tree, pose, frame),
+                kinematics.tip_rotation(tree, pose, frame),
+            )
         return body, at + axes @ np.array(joint.points[k]), axes @ joint_axes(joint, k)
 
     def _couples(self, joint: LoopJoint, axes_a: Array, axes_b: Array, w_a: Array, w_b: Array) -> tuple[Array, Array]:

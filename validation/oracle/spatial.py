@@ -25,11 +25,7 @@ Array = NDArray[Any]
 
 
 def skew(a: Array) -> Array:
-    """Return the matrix a× that multiplies like the cross product: (a×) b = a × b.
-
-    a: (..., 3)
-    Returns (..., 3, 3).
-    """
+    """Return a× (..., 3, 3), which multiplies like the cross product with a (..., 3): (a×) b = a × b."""
     a = np.asarray(a)
     out = np.zeros((*a.shape, 3), dtype=a.dtype)
     x, y, z = a[..., 0], a[..., 1], a[..., 2]
@@ -40,13 +36,10 @@ def skew(a: Array) -> Array:
 
 
 def cross_motion(v: Array) -> Array:
-    """Return v×, the rate of a motion vector m that is carried along at spatial velocity v: ṁ = v × m.
+    """Return v× (..., 6, 6), the rate of a motion vector m carried along at spatial velocity v (..., 6): ṁ = v × m.
 
-        v× = [ ω×    0  ]
-             [ v_O×  ω× ]
-
-    v: (..., 6) motion vector, base frame at O
-    Returns (..., 6, 6).
+    v× = [ ω×    0  ]
+         [ v_O×  ω× ]
     """
     v = np.asarray(v)
     out = np.zeros((*v.shape, 6), dtype=v.dtype)
@@ -56,24 +49,18 @@ def cross_motion(v: Array) -> Array:
 
 
 def cross_force(v: Array) -> Array:
-    """Return v×*, the rate of a force vector f that is carried along at spatial velocity v: ḟ = v ×* f.
+    """Return v×* (..., 6, 6), the rate of a force vector f carried along at spatial velocity v (..., 6): ḟ = v ×* f.
 
     v×* = −(v×)ᵀ, because the power f·m of two vectors carried along together stays the same.
-
-    v: (..., 6) motion vector, base frame at O
-    Returns (..., 6, 6).
     """
     return -np.swapaxes(cross_motion(v), -1, -2)
 
 
 def cross_swapped(f: Array) -> Array:
-    """Return f×̄*, which is v×*f seen as a matrix acting on v: (f×̄*) v = v ×* f. It is skew-symmetric.
+    """Return f×̄* (..., 6, 6), skew-symmetric: v×*f as a matrix acting on v, of f (..., 6): (f×̄*) v = v ×* f.
 
-        f×̄* = −[ n_O×  f× ]
-               [ f×    0  ]
-
-    f: (..., 6) force vector, base frame at O
-    Returns (..., 6, 6).
+    f×̄* = −[ n_O×  f× ]
+           [ f×    0  ]
     """
     f = np.asarray(f)
     out = np.zeros((*f.shape, 6), dtype=f.dtype)
@@ -83,14 +70,12 @@ def cross_swapped(f: Array) -> Array:
 
 
 def motion_to_base(rotation: Array, position: Array) -> Array:
-    """Return the Plücker transform X that takes a motion vector from a frame's own coordinates to base ones.
+    """Return the Plücker transform X (..., 6, 6) that takes a motion vector from a frame's coordinates to base ones.
 
         X = [ R     0 ]
             [ p×R   R ]
 
-    rotation: (..., 3, 3) axes of the frame, base coordinates
-    position: (..., 3) origin of the frame, base coordinates [m]
-    Returns (..., 6, 6).
+    rotation, position: (..., 3, 3), (..., 3), axes and origin of the frame, base coordinates, m
     """
     out = np.zeros((*rotation.shape[:-2], 6, 6), dtype=np.result_type(rotation, position))
     out[..., :3, :3] = out[..., 3:, 3:] = rotation
@@ -99,16 +84,12 @@ def motion_to_base(rotation: Array, position: Array) -> Array:
 
 
 def motion_from_base(rotation: Array, position: Array) -> Array:
-    """Return X⁻¹, which takes a motion vector from base coordinates to the frame's own.
+    """Return X⁻¹ (..., 6, 6), which takes a motion vector from base coordinates to a frame's; see `motion_to_base`.
 
         X⁻¹ = [  Rᵀ      0  ]
               [ −Rᵀp×    Rᵀ ]
 
     Its transpose takes a *force* vector from the frame's coordinates to base ones.
-
-    rotation: (..., 3, 3) axes of the frame, base coordinates
-    position: (..., 3) origin of the frame, base coordinates [m]
-    Returns (..., 6, 6).
     """
     transposed = np.swapaxes(rotation, -1, -2)
     out = np.zeros((*rotation.shape[:-2], 6, 6), dtype=np.result_type(rotation, position))
@@ -137,24 +118,30 @@ def spatial_inertia(mass: float, centre: Array, about_centre: Array) -> Array:
     return out
 
 
-def inertia_to_base(rotation: Array, position: Array, inertia: Array) -> Array:
-    """Return X⁻ᵀ I X⁻¹: a spatial inertia taken from a frame's own coordinates to base ones.
+def about_centre(inertia: Array) -> tuple[float, Array, Array]:
+    """Return mass, kg, centre (3,), m, and the tensor (3, 3) about it, kg m², of a spatial inertia."""
+    mass = float(inertia[5, 5])
+    if mass == 0.0:
+        return 0.0, np.zeros(3), np.array(inertia[:3, :3])
+    block = inertia[:3, 3:] / mass  # c×
+    return mass, np.array([block[2, 1], block[0, 2], block[1, 0]]), inertia[:3, :3] + mass * block @ block
 
-    rotation: (..., 3, 3) axes of the frame, base coordinates
-    position: (..., 3) origin of the frame, base coordinates [m]
-    inertia: (..., 6, 6) in the frame
-    Returns (..., 6, 6).
-    """
+
+def inertia_to_base(rotation: Array, position: Array, inertia: Array) -> Array:
+    """Return X⁻ᵀ I X⁻¹ (..., 6, 6): a spatial inertia in a frame, taken to base coordinates; see `motion_to_base`."""
     inverse = motion_from_base(rotation, position)
     return np.asarray(np.swapaxes(inverse, -1, -2) @ inertia @ inverse)
 
 
-def rotation_from_rpy(rpy: Array) -> Array:
-    """Return the rotation of a URDF ``rpy``: about the fixed axes x, then y, then z, R = R_z R_y R_x.
+def axes_about(direction: Array) -> Array:
+    """Return a rotation (3, 3) whose third column is the unit vector `direction` (3,)."""
+    across = np.cross(np.eye(3)[np.argmin(np.abs(direction))], direction)
+    across = across / np.linalg.norm(across)
+    return np.stack([across, np.cross(direction, across), direction], axis=1)
 
-    rpy: (3,) roll, pitch, yaw [rad]
-    Returns (3, 3).
-    """
+
+def rotation_from_rpy(rpy: Array) -> Array:
+    """Return the rotation (3, 3) of a URDF ``rpy`` (3,), rad: about the fixed axes x, y, z in turn, R = R_z R_y R_x."""
     (cr, cp, cy), (sr, sp, sy) = np.cos(rpy), np.sin(rpy)
     about_x = np.array([[1.0, 0.0, 0.0], [0.0, cr, -sr], [0.0, sr, cr]])
     about_y = np.array([[cp, 0.0, sp], [0.0, 1.0, 0.0], [-sp, 0.0, cp]])

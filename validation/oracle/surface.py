@@ -57,10 +57,7 @@ def round_body(radius: float, inside: bool = False, axis: Array | None = None) -
         d = across @ (p - centre)
         return np.asarray(np.sqrt(d @ d))
 
-    return Shape(
-        lambda p: side * (distance(p) - radius),
-        lambda p: side * across @ (p - centre) / distance(p),
-    )
+    return Shape(lambda p: side * (distance(p) - radius), lambda p: side * across @ (p - centre) / distance(p))
 
 
 def ellipsoid(a: float, b: float, c: float) -> Shape:

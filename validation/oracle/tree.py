@@ -6,8 +6,7 @@ Jacobians. `build_tree` makes it from links and joints as a robot description li
 
 From a URDF text to a `Tree`, with yourdfpy as the parser and nothing else of it.
 
-yourdfpy is used because it shares no code with Pinocchio's parser. What it does silently, and what is done
-about it:
+yourdfpy is used because it shares no code with Pinocchio's parser. What it does silently, and what is done about it:
 
 - a missing ``mass`` value becomes 0, a missing ``ixx``, ``iyy`` or ``izz`` becomes **1** kg m²: refused here;
 - malformed XML is parsed a second time in a mode that forgives: refused here by a strict pass before it;
@@ -133,14 +132,9 @@ class Tree:
 
 
 def build_tree(
-    links: Sequence[Link],
-    joints: Sequence[Joint],
-    *,
-    joint_names: Sequence[str],
-    armature: Array | None = None,
-    gravity: Sequence[float] | Array = (0.0, 0.0, -9.81),
-    locked: Mapping[str, float] | None = None,
-) -> Tree:
+    links: Sequence[Link], joints: Sequence[Joint], *, joint_names: Sequence[str], armature: Array | None = None,
+    gravity: Sequence[float] | Array = (0.0, 0.0, -9.81), locked: Mapping[str, float] | None = None,
+) -> Tree:  # fmt: skip
     """Merge rigidly connected links and number the moving joints as `joint_names` orders them.
 
     links, joints: the description, in any order; the one link that is no joint's child is the base
@@ -177,17 +171,11 @@ def build_tree(
             else:
                 to_do.append((joint.child, Frame(here.body, turned, moved)))
     return Tree(
-        names=tuple(joint_names),
-        kinds=tuple(kinds),
-        parent=tuple(parent),
-        axis=axis,
-        rotation=rotation,
-        translation=translation,
-        inertia=inertia,
+        names=tuple(joint_names), kinds=tuple(kinds), parent=tuple(parent), axis=axis, rotation=rotation,
+        translation=translation, inertia=inertia,
         armature=np.zeros(n) if armature is None else np.array(armature, dtype=float).reshape(n),
-        gravity=np.array(gravity, dtype=float).reshape(3),
-        frames=frames,
-    )
+        gravity=np.array(gravity, dtype=float).reshape(3), frames=frames,
+    )  # fmt: skip
 
 
 def _beyond(joint: Joint, here: Frame, locked: Mapping[str, float]) -> tuple[Array, Array]:
@@ -218,12 +206,9 @@ def _unit(joint: Joint) -> Array:
 
 
 def _check(
-    by_link: Mapping[str, Link],
-    links: Sequence[Link],
-    joints: Sequence[Joint],
-    column: Mapping[str, int],
+    by_link: Mapping[str, Link], links: Sequence[Link], joints: Sequence[Joint], column: Mapping[str, int],
     locked: Mapping[str, float],
-) -> None:
+) -> None:  # fmt: skip
     """Refuse a description that is not one tree of known joints with finite, non-negative masses."""
     if len(by_link) != len(links) or len({joint.name for joint in joints}) != len(joints):
         raise UnsupportedModel("two links or two joints have the same name")
@@ -291,13 +276,9 @@ def read_urdf(model: RobotModel) -> Tree:
         raise UnsupportedModel(f"the oracle reads URDF only, this robot is {model.format!r}")
     links, joints = parse_urdf(model.text)
     return build_tree(
-        links,
-        joints,
-        joint_names=model.joint_names,
-        armature=np.asarray(model.armature),
-        gravity=np.asarray(model.gravity),
-        locked=model.locked,
-    )
+        links, joints, joint_names=model.joint_names, armature=np.asarray(model.armature),
+        gravity=np.asarray(model.gravity), locked=model.locked,
+    )  # fmt: skip
 
 
 def parse_urdf(text: str) -> tuple[list[Link], list[Joint]]:
@@ -306,12 +287,9 @@ def parse_urdf(text: str) -> tuple[list[Link], list[Joint]]:
     import yourdfpy  # imports trimesh, which takes a second
 
     robot = yourdfpy.URDF.load(
-        io.BytesIO(text.encode()),
-        build_scene_graph=False,
-        build_collision_scene_graph=False,
-        load_meshes=False,
+        io.BytesIO(text.encode()), build_scene_graph=False, build_collision_scene_graph=False, load_meshes=False,
         load_collision_meshes=False,
-    ).robot
+    ).robot  # fmt: skip
     return [_link(link) for link in robot.links], [_joint(joint) for joint in robot.joints]
 
 

@@ -11,14 +11,12 @@ from closedloop.base.errors import OutputError
 from closedloop.base.files import write_whole
 from closedloop.command.border import Parser, as_command
 from validation.run import InputError, say
-from validation.speed.bodies import BODIES
 from validation.speed.contestants import ARMS, Contestant, slide
-from validation.speed.feet import BOXES
 from validation.speed.loops import MECHANISMS
-from validation.speed.robots import ROBOTS
 from validation.speed.scenes import SCENES
 
 INSTALL = 'not installed: pip install "closedloop[peers]"'
+KNOWN = (*ARMS, *MECHANISMS, *SCENES)
 # Drake takes so much longer that a tenth of the steps is enough.
 DRAKE_SHARE = 10
 # Nothing is set up for each, so a few are as good as many.
@@ -32,10 +30,9 @@ def main(words: list[str]) -> int:
     for name in ("repeats", "steps", "runs"):
         if getattr(options, name) is not None and getattr(options, name) < 1:
             raise InputError(f"--{name} {getattr(options, name)}: must be at least 1")
-    known = (*ARMS, *MECHANISMS, *BOXES, *BODIES, *SCENES, *ROBOTS)
-    unknown = [arm for arm in options.arms if arm not in known]
+    unknown = [arm for arm in options.arms if arm not in KNOWN]
     if unknown:
-        raise InputError(f"--arms {unknown[0]}: must be of {', '.join(known)}")
+        raise InputError(f"--arms {unknown[0]}: must be of {', '.join(KNOWN)}")
     file = Path(options.json) if options.json else None
     if file and (not file.parent.is_dir() or file.is_dir()):
         raise InputError(f"--json {file}: cannot be written: name a file in a folder that exists")
@@ -66,13 +63,7 @@ def _parser() -> Parser:
     parser.add_argument("--repeats", type=int, help="laps of each contestant, in turns (default 15; 3 with --quick)")
     parser.add_argument("--steps", type=int, help="steps of a lap (default 4000; 500 with --quick)")
     parser.add_argument("--runs", type=int, help="runs of a batch (default 256; 16 with --quick)")
-    parser.add_argument(
-        "--arms",
-        nargs="+",
-        default=[*ARMS, *MECHANISMS, *BOXES, *BODIES, *SCENES, *ROBOTS],
-        metavar="ARM",
-        help=f"of {', '.join((*ARMS, *MECHANISMS, *BOXES, *BODIES, *SCENES, *ROBOTS))}",
-    )
+    parser.add_argument("--arms", nargs="+", default=[*KNOWN], metavar="ARM", help=f"of {', '.join(KNOWN)}")
     parser.add_argument("--no-cold-start", action="store_true", help="leave out the start of whole processes")
     parser.add_argument("--json", metavar="FILE", help="write every value")
     return parser
@@ -80,27 +71,15 @@ def _parser() -> Parser:
 
 def line_up(arms: Sequence[str], steps: int, runs: int) -> tuple[list[Contestant], dict[str, str]]:
     """Return everyone who races, and why the others do not."""
-    from validation.speed import bodies, contestants, feet, loops, repeated, robots, scenes
+    from validation.speed import contestants, loops, repeated, scenes
 
     there = {name: find_spec(module) is not None for name, module in (("mujoco", "mujoco"), ("drake", "pydrake"))}
     missing = {name: INSTALL for name, found in there.items() if not found}
     everyone: list[Contestant] = [repeated.arithmetic(threads) for threads in (1, 2)]
     for arm in arms:
         say(f"preparing {arm}")
-        if arm in MECHANISMS:
-            everyone += loops.racing(arm, there["mujoco"])
-            continue
-        if arm in BOXES:
-            everyone += feet.on_feet(arm, there["mujoco"])
-            continue
-        if arm in BODIES:
-            everyone += bodies.of_bodies(arm, there["mujoco"])
-            continue
-        if arm in SCENES:
-            everyone += scenes.of_scene(arm, there["mujoco"])
-            continue
-        if arm in ROBOTS:
-            everyone += robots.of_robot(arm, there["mujoco"])
+        if arm not in ARMS:
+            everyone += (loops if arm in MECHANISMS else scenes).racing(arm, there["mujoco"])
             continue
         problem = slide(arm, steps)
         racing = [contestants.our_engine(arm, problem, "compiled")]
@@ -113,9 +92,8 @@ def line_up(arms: Sequence[str], steps: int, runs: int) -> tuple[list[Contestant
             contestants.pinocchio_loop(arm, problem),
         ]
         if there["mujoco"]:
-            from validation.speed import mujoco
-
-            racing += [mujoco.driven(arm, problem), mujoco.bare(arm, problem), mujoco.bare(arm, problem, exact=True)]
+            racing.append(contestants.driven(arm, problem))
+            racing += [contestants.bare(arm, problem, exact) for exact in (False, True)]
         everyone += contestants.with_errors(racing, problem)
         everyone += [contestants.composite_bodies(arm, problem), contestants.newton_euler_columns(arm, problem)]
         if there["drake"]:
@@ -130,14 +108,15 @@ def line_up(arms: Sequence[str], steps: int, runs: int) -> tuple[list[Contestant
             everyone += repeated.episodes(arm)
             everyone += [repeated.compiled_batch(arm, whole, runs, threads) for threads in (1, 2)]
             if there["mujoco"]:
-                everyone += [mujoco.rollout(arm, problem, min(runs, MOST_ROLLOUTS), threads) for threads in (1, 2)]
+                most = min(runs, MOST_ROLLOUTS)
+                everyone += [contestants.rollout(arm, problem, most, threads) for threads in (1, 2)]
     return everyone, missing
 
 
 def measure(*, arms: Sequence[str], steps: int, repeats: int, runs: int, cold: bool) -> dict[str, Any]:
     """Measure everything and return it as it goes into the JSON file."""
-    from validation.speed.cold import first_result, first_result_ever
     from validation.speed.measure import as_data, race, ratio, targets
+    from validation.speed.repeated import first_result, first_result_ever
 
     everyone, missing = line_up(arms, steps, runs)
     timings = race(everyone, repeats, say)

@@ -22,12 +22,9 @@ from rich.console import Console
 from rich.table import Table
 
 from validation.oracle.spatial import Array
-from validation.speed.bodies import CUBE, TOWERS
 from validation.speed.contestants import Contestant
-from validation.speed.feet import BOXES
 from validation.speed.repeated import SHORT
-from validation.speed.robots import ROBOTS
-from validation.speed.scenes import SCENES
+from validation.speed.scenes import BOXES, CUBE, ROBOTS, STACKS, TOWERS
 
 
 @dataclass(frozen=True)
@@ -194,10 +191,7 @@ def targets(timings: Timings) -> list[Target]:
         Target("delta: constraintDynamics loop / compiled", 1.0, True, delta),
         *(
             Target(f"{who}: bare mj_step / compiled", least, True, times("mj_step", "compiled", arm=who))
-            for who, least in (
-                *((box, 1.0) for box in BOXES),
-                *((scene, 0.2) for scene in (*SCENES, *ROBOTS)),
-            )
+            for who, least in (*((box, 1.0) for box in BOXES), *((scene, 0.2) for scene in (*STACKS, *ROBOTS)))
         ),
         *(
             Target(f"{who}: bare mj_step / time stepping", least, True, times("mj_step", "time_stepping", arm=who))

@@ -10,25 +10,34 @@ than to one, and no batch can be better.
 
 Derivatives of a whole run: dual numbers, differences of runs in a batch, and Pinocchio's derivatives at one instant. A
 step of a contestant is one of the plain run, so that a ratio says how many plain runs value and derivatives cost.
+
+Beside these, a fresh interpreter, from its start to its first result.
 """
 
+import os
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
 import time as clock
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from importlib.util import find_spec
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pinocchio as pin
 
+import closedloop
 import closedloop as cl
 from closedloop.jit.kernel import entry_kernel
 from closedloop.jit.simd8 import WIDE
 from closedloop.record.run import Run
 from closedloop.scenario.scenario import Scenario
 from closedloop.simulation.batch.worker import Worker
-from closedloop.simulation.engines.compiled import compiled_tree
 from closedloop.simulation.engines.dual_loop import DIRECTIONS, DualRun, Prepared, prepared
 from closedloop.simulation.engines.lanes import LaneRuns, kind_of
 from closedloop.simulation.engines.loops import COMPILED
@@ -151,7 +160,7 @@ def compiled_batch(arm: str, problem: Problem, runs: int, threads: int) -> Conte
 
 def in_lanes(arm: str, problem: Problem, name: str = "lanes", of: str = "") -> Contestant:
     """Return the loop in which a batch's runs go, without what a batch does beside: a step is one of one run."""
-    kind, tree, n = kind_of(problem), compiled_tree(problem), problem.robot.n
+    kind, n = kind_of(problem), problem.robot.n
     assert kind is not None
     lane_runs = LaneRuns(problem, kind, keep=False)
 
@@ -159,7 +168,7 @@ def in_lanes(arm: str, problem: Problem, name: str = "lanes", of: str = "") -> C
         for lane in range(WIDE):
             lane_runs.put(lane, problem)
         began = clock.perf_counter()
-        ran = lane_runs.run(tree, WIDE)
+        ran = lane_runs.run(WIDE)
         seconds = clock.perf_counter() - began
         rows = lane_runs.rows(WIDE - 1)
         return seconds, rows[problem.steps % len(rows), :n].copy() if ran else None
@@ -277,3 +286,34 @@ def racing(arm: str, problem: Problem) -> list[Contestant]:
     plain = replace(our_engine(arm, rubbing, "compiled"), name="rubbing", what=f"compiled, {RUBBING}")
     duals = by_duals(arm, rubbing, "rubbing_duals", f"value and seven derivatives, {RUBBING}")
     return [by_duals(arm, problem), by_differences(arm, problem), at_one_instant(arm, problem), plain, duals]
+
+
+PROGRAM = "import closedloop as cl; cl.simulate(cl.load_scenario('wam_slide'), engine='{engine}')"
+AFTERWARDS = "from closedloop.jit.background import wait_until_done; wait_until_done()"
+
+
+def first_result(engine: str, repeats: int) -> float:
+    """Return the median seconds of a process that simulates `wam_slide` once, everything compiled before."""
+    _timed(engine, {})
+    return statistics.median(_timed(engine, {}) for _ in range(repeats))
+
+
+def first_result_ever(engine: str) -> float:
+    """Return the seconds of the first such process of an installation, with nothing compiled."""
+    with tempfile.TemporaryDirectory() as folder:
+        settings = {"NUMBA_CACHE_DIR": folder}
+        seconds = _timed(engine, settings)
+        _timed(engine, settings, AFTERWARDS)  # no process in the background disturbs what is measured next
+        return seconds
+
+
+def _timed(engine: str, settings: dict[str, str], program: str = PROGRAM) -> float:
+    root = str(Path(closedloop.__file__).parent.parent)
+    path = os.pathsep.join([root, *filter(None, [os.environ.get("PYTHONPATH")])])
+    began = time.perf_counter()
+    subprocess.run(
+        [sys.executable, "-c", program.format(engine=engine)],
+        check=True,
+        env={**os.environ, "PYTHONPATH": path, **settings},
+    )
+    return time.perf_counter() - began

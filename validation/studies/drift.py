@@ -28,13 +28,7 @@ from closedloop.base.errors import ClosedLoopError, InterruptedRunError, faults_
 from closedloop.figures.files import write_figure
 from closedloop.figures.style import COLOURS, styled
 from closedloop.loop.step.record_row import recorded
-from closedloop.mechanics.closure.baumgarte import (
-    baumgarte_gains,
-    largest_stable_ratio,
-    recommended_ratio,
-    spectral_radii,
-    spectral_radius,
-)
+from closedloop.mechanics.closure import baumgarte
 from closedloop.mechanics.integrators import INTEGRATORS
 from closedloop.scenario.load import load_scenario
 from closedloop.scenario.scenario import Scenario
@@ -89,7 +83,7 @@ def stability_map(axes: Axes, limits: list[dict[str, Any]]) -> None:
     """Draw where Baumgarte is stable in the plane of (s_v h, s_p h²), and the limits that were measured."""
     x, y = np.meshgrid(np.linspace(0.02, 6.5, 220), np.linspace(0.02, 9.5, 220))  # s_v h, s_p h²
     for scheme, colour, marker in zip(NAMES, COLOURS, MARKERS, strict=True):
-        radii = spectral_radii(scheme, x / (2.0 * np.sqrt(y)), np.sqrt(y))
+        radii = baumgarte.spectral_radii(scheme, x / (2.0 * np.sqrt(y)), np.sqrt(y))
         axes.contour(x, y, radii, levels=[1.0], colors=[colour], linewidths=1.4)
         mine = [row for row in limits if row["integrator"] == scheme]
         measured = np.array([row["measured"] for row in mine])
@@ -118,14 +112,9 @@ def slide(
 ) -> Scenario:  # fmt: skip
     """Return wam_slide, elbow up, for four seconds, the tip moving in three of them, with these settings (s, m/s)."""
     changes: dict[str, Any] = {
-        "start.q": ELBOW_UP,
-        "time.step": step,
-        "time.integrator": scheme,
-        "time.duration": 4.0,
-        "reference.speed": speed,
-        "reference.stop": 3.5,
-        "stabiliser.kind": stabiliser,
-    }
+        "start.q": ELBOW_UP, "time.step": step, "time.integrator": scheme, "time.duration": 4.0,
+        "reference.speed": speed, "reference.stop": 3.5, "stabiliser.kind": stabiliser,
+    }  # fmt: skip
     if stabiliser in ("baumgarte", "both"):
         changes["stabiliser.time_constant"] = "auto"
     if tolerance is not None:
@@ -165,16 +154,10 @@ def power_law(setting: str, values: Sequence[float], theory: float, scheme: str,
     errors = [largest_error(slide(scheme=scheme, stabiliser=stabiliser, **{setting: value})) for value in values]
     slope, misfit = fitted_slope(values, [e for e, _ in errors])
     return {
-        "integrator": scheme,
-        "stabiliser": stabiliser,
-        "setting": setting,
-        "values": list(values),
-        "errors": [e for e, _ in errors],
-        "reasons": [why for _, why in errors],
-        "slope": slope,
-        "theory": theory,
+        "integrator": scheme, "stabiliser": stabiliser, "setting": setting, "values": list(values),
+        "errors": [e for e, _ in errors], "reasons": [why for _, why in errors], "slope": slope, "theory": theory,
         "misfit": misfit,
-    }
+    }  # fmt: skip
 
 
 def measured_limit(scheme: str, damping: float, steps: int = 1500) -> float:
@@ -201,7 +184,7 @@ def measured_limit(scheme: str, damping: float, steps: int = 1500) -> float:
     problem = prepare(scenario)
 
     def stable(ratio: float) -> bool:
-        gains = np.array(baumgarte_gains(damping, h / ratio))
+        gains = np.array(baumgarte.baumgarte_gains(damping, h / ratio))
         rows, _, failure, _ = run_loop(dataclasses.replace(problem, stabiliser=gains), engine="compiled")
         return failure is None and bool(np.max(np.abs(recorded(rows[-100:], problem.robot.n, "closure_error"))) < 1e-6)
 
@@ -231,8 +214,8 @@ def measure(quick: bool = False) -> dict[str, Any]:
     limits = []
     for scheme in schemes:
         for damping in DAMPING[2:3] if quick else DAMPING:
-            theory = largest_stable_ratio(scheme, damping)
-            best = recommended_ratio(scheme, damping)
+            theory = baumgarte.largest_stable_ratio(scheme, damping)
+            best = baumgarte.recommended_ratio(scheme, damping)
             limits.append(
                 {
                     "integrator": scheme,
@@ -240,16 +223,13 @@ def measure(quick: bool = False) -> dict[str, Any]:
                     "theory": theory,
                     "measured": measured_limit(scheme, damping),
                     "recommended": best,
-                    "spectral_radius": spectral_radius(scheme, damping, best),
+                    "spectral_radius": baumgarte.spectral_radius(scheme, damping, best),
                 }
             )
     return {
-        "against_step": against_step,
-        "against_speed": against_speed,
-        "against_tolerance": against_tolerance,
-        "stabilisers": stabilisers,
-        "limits": limits,
-    }
+        "against_step": against_step, "against_speed": against_speed, "against_tolerance": against_tolerance,
+        "stabilisers": stabilisers, "limits": limits,
+    }  # fmt: skip
 
 
 def run(folder: Path, quick: bool = False, as_json: bool = False) -> dict[str, Any]:

@@ -58,14 +58,9 @@ def each(name: str, cells: Sequence[tuple[Any, ...]], run: Callable[..., dict[st
 
 
 def conclude(
-    folder: Path,
-    name: str,
-    results: Any,
-    columns: Sequence[str],
-    figures: Sequence[Path],
-    tables: Callable[[Any], None] | None,
-    rows: Iterable[Sequence[Any]] | None = None,
-) -> None:
+    folder: Path, name: str, results: Any, columns: Sequence[str], figures: Sequence[Path],
+    tables: Callable[[Any], None] | None, rows: Iterable[Sequence[Any]] | None = None,
+) -> None:  # fmt: skip
     """Write the results as `name`.json and rows of them as `name`.csv, and print their tables, or the JSON if None.
 
     If no rows are given they are those columns of each result. A number that is not finite is null, and an empty cell.

@@ -17,12 +17,12 @@ from closedloop.mechanics.surface.motions.breathing import Breathing
 from closedloop.mechanics.surface.motions.conveyor import Conveyor
 from closedloop.mechanics.surface.motions.none import NoMotion
 from closedloop.mechanics.surface.motions.turntable import Turntable
+from validation.engines.interface import condition
 from validation.oracle import Oracle
 from validation.oracle import surface as by_hand
 from validation.oracle.closure import stabiliser_gains
 from validation.oracle.spatial import Array
 from validation.oracle.surface import Displacement, Shape, SurfaceContact
-from validation.tolerances import condition
 
 # A stabiliser whose answer to the closure error is of the size of everything else.
 GAINS = stabiliser_gains(0.7, 0.05)

@@ -3,14 +3,12 @@
     F̂_t = −(θ₁ f_des û + θ₂ u)                     û, u: of the desired motion, see `compensation.model`
     θ̇₁ = γ û·s,   θ̇₂ = γ f_des/v₀² u·s            s = P/(½ tr P) (ė + c e),   e = p_des − p along the surface
 
-P is the tip's mobility along the surface. With a motion law ë + K_v ė + K_p e = P (F̂_t − F_t) and c < K_v the
-function
+P is the tip's mobility along the surface. With a motion law ë + K_v ė + K_p e = P (F̂_t − F_t) and c < K_v the function
 
     V = ½ (ė² + 2 c e·ė + (K_p + c K_v) e²) + θ̃²/(2 Γ)       has V̇ = −c K_p e² − (K_v − c) ė² ≤ 0
 
-for a posture that changes slowly, so the path error vanishes; the two coefficients are found apart only where
-the speed varies. At constant speed the force settles with the rate γ c f_des P/K_p. Coefficients do not become
-negative.
+for a posture that changes slowly, so the path error vanishes; the two coefficients are found apart only where the speed
+varies. At constant speed the force settles with the rate γ c f_des P/K_p. Coefficients do not become negative.
 
 Source: J. Craig, P. Hsu, S. Sastry, Adaptive control of mechanical manipulators, Int. J. Robotics Research 6(2), 1987,
 whose regressor is cut down to friction.

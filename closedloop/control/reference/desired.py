@@ -11,7 +11,7 @@ them. So the reference is one function of time, the same for every step size and
 import itertools
 import math
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +20,6 @@ from closedloop.base.arrays import Array
 from closedloop.base.errors import ScenarioError
 from closedloop.control.reference import inverse_kinematics as ik
 from closedloop.control.reference.force import ForceProfile, force_at
-from closedloop.control.reference.on_surface import refuse_beyond_edge, refuse_without_normal, seams
 from closedloop.control.reference.path import (
     ASKEW,
     FREE_ORIENTATION,
@@ -30,14 +29,41 @@ from closedloop.control.reference.path import (
     path_on,
     refuse_tool_too_large,
 )
-from closedloop.control.reference.table import Reference
-from closedloop.control.reference.tip_path import Segment, TipPath
+from closedloop.control.reference.tip_path import Segment, TipPath, refuse_beyond_edge, refuse_without_normal, seams
+from closedloop.jit.blocks import Block, Count
 from closedloop.jit.interim import call_once
 from closedloop.mechanics.loops.bind import loop_memory
 from closedloop.mechanics.loops.solve import along_path
 from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.mechanics.surface.placed import PlacedSurface
 from robot_models.model import AT_LIMIT
+
+N = Count.of("n")
+
+
+class Reference(Block, sizes=("n",)):
+    """What is desired of n joints, and of the tip in base axes; see `closedloop.loop.step.locate.in_contact_frame`."""
+
+    q: Annotated[Array, N]  # rad (m)
+    v: Annotated[Array, N]  # rad/s (m/s)
+    position: Annotated[Array, 3]  # m
+    velocity: Annotated[Array, 3]  # m/s
+    acceleration: Annotated[Array, 3]  # m/s²
+    force: float  # N
+
+
+class TableRow(Block, sizes=("n",)):
+    """A row of the table."""
+
+    reference: Reference
+    sensor: Annotated[Array, 4]  # see `closedloop.control.sensor.draws`
+
+
+class DrawnRow(TableRow, sizes=("n",)):
+    """A row of the table of an arm whose encoders are noisy."""
+
+    draws: Annotated[Array, 2 * N]  # see `closedloop.control.sensor.encoder_draws`
+
 
 FIRST_SPACING = 5e-4  # m of path between knots before any halving
 SHORTEST = 1e-12  # s between knots

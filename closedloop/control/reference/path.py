@@ -27,8 +27,7 @@ from closedloop.base.errors import ScenarioError
 from closedloop.base.families import Family, Parameters, is_users
 from closedloop.base.sections import Number, Size
 from closedloop.control.reference.inverse_kinematics import AXIS, FRAME, POSITION, RANK_TOLERANCE
-from closedloop.control.reference.on_surface import on_surface
-from closedloop.control.reference.tip_path import TipPath
+from closedloop.control.reference.tip_path import TipPath, on_surface
 from closedloop.jit.user_code import of_users
 from closedloop.mechanics.surface.along import shape_at
 from closedloop.mechanics.surface.placed import PlacedSurface, contact_frame, unit

@@ -32,12 +32,11 @@ from closedloop.record.columns.derived import reactions_of
 from closedloop.record.run import Run
 from closedloop.scenario.arm import robot_of
 from closedloop.scenario.scenario import Scenario
-from closedloop.simulation.cache import Cache
+from closedloop.simulation.parts import Cache
 from closedloop.simulation.prepare import robot_key
 from robot_models import RobotModel
-from robot_models.collision import collision_shapes
+from robot_models.collision import collision_shapes, mesh_file, source_folder
 from robot_models.loop_joint import WORLD
-from robot_models.mesh_files import mesh_file, source_folder
 
 if TYPE_CHECKING:
     import trimesh

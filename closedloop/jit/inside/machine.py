@@ -10,7 +10,7 @@ import numba
 import numpy as np
 from numba.core import config
 
-from closedloop.jit.uninterrupted import compiler_at_work
+from closedloop.base.interrupts import compiler_at_work
 
 # numba's settings, each an environment variable, that change what it compiles.
 SETTINGS = (

@@ -26,7 +26,7 @@ from typing import Any
 
 from closedloop.base.arrays import Array
 from closedloop.control.law import Perceived
-from closedloop.control.reference.table import DrawnRow, Reference
+from closedloop.control.reference.desired import DrawnRow, Reference
 from closedloop.control.sensor import EncoderParameters, across, read_encoder
 from closedloop.jit.blocks import Block
 from closedloop.jit.calls import call_at, integers_at, matrix_at, row_of

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from closedloop.base.arrays import Array
 from closedloop.control.law import Perceived
-from closedloop.control.reference.table import Reference
+from closedloop.control.reference.desired import Reference
 from closedloop.control.sensor import EncoderParameters, SensorParameters
 from closedloop.jit.blocks import Block, Count
 from closedloop.jit.calls import address_of, call_at, integers_at, vector_at

@@ -6,7 +6,7 @@ from typing import Annotated, Any
 import numpy as np
 
 from closedloop.base.arrays import Array, IntArray
-from closedloop.control.reference.table import TableRow
+from closedloop.control.reference.desired import TableRow
 from closedloop.control.sensor import SensorParameters, bias_at, sense, signal_of
 from closedloop.jit.blocks import Block
 from closedloop.jit.calls import integers_at, row_of

@@ -15,7 +15,7 @@ width v_c, far below every speed that counts:
     F_t = −μ f tanh(|u_t|/v_c) u_t/|u_t|
 
 It is Coulomb's to the last bit from 19 v_c on. What rests creeps at less than v_c, and the equation of motion is stiff,
-for which the integrator has a scheme (`closedloop.simulation.engines.adaptive.drive`).
+for which the integrator has a scheme (`closedloop.simulation.engines.adaptive`).
 """
 
 import math

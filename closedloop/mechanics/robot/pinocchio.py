@@ -21,8 +21,8 @@ from robot_models import RobotModel
 from robot_models.cached import cached_property
 from robot_models.coordinates import BALL, in_pinocchios_order, with_quaternions, with_rotation_vectors
 from robot_models.loop_joint import WORLD
+from robot_models.model import carried_by
 from robot_models.tendon import spring_torque
-from robot_models.tool import carried_by
 
 
 class Terms(NamedTuple):

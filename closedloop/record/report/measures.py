@@ -20,7 +20,7 @@ from typing import Annotated, Any, NamedTuple
 import numpy as np
 
 from closedloop.base.arrays import Array
-from closedloop.control.reference.table import Reference
+from closedloop.control.reference.desired import Reference
 from closedloop.jit.blocks import Block, Count
 from closedloop.jit.kernel import entry_kernel, kernel, kernel_inlined
 from closedloop.jit.simd8 import every, select
@@ -430,7 +430,7 @@ def measure_rows(
     """Write the values of a run.
 
     `tree`: the robot, for its potential energy.
-    `scratch`: from `closedloop.simulation.engines.compiled.compiled_work`, and (Tally.count(n),).
+    `scratch`: from `closedloop.simulation.engines.loops.compiled_work`, and (Tally.count(n),).
     `rows` (N, width): the record, N >= 1 of `closedloop.loop.step.record_row.Row`s, `h` seconds apart.
     `wanted`, (P, >= 2 n + 10) array, int: the table of what is desired, see `closedloop.loop.step.entries`, and how
         many of its rows there are to each of the record's.

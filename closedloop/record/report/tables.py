@@ -19,7 +19,7 @@ from closedloop.record.report.halved import halved_rows
 from closedloop.record.report.summary import contact_faults, joint_measures, run_gains_fault, share_not_determined
 from closedloop.record.report.verdict import GOOD, energy_at_stake, names_of, probable_reason
 from closedloop.scenario.tables import names_in
-from robot_models.notes import notes as robot_notes
+from robot_models.described import notes as robot_notes
 
 if TYPE_CHECKING:
     from rich.console import Console

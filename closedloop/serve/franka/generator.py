@@ -40,7 +40,7 @@ from closedloop.serve.franka import wire
 from closedloop.simulation.prepare import load_model
 from robot_models.mechanism import transform
 from robot_models.mechanism import turned as rotation_about
-from robot_models.tool import Tool
+from robot_models.model import Tool
 
 JOINTS = 7
 # What stands for a limit that there is none of, and a deceleration, rad/s², that makes the limit of the speed that of

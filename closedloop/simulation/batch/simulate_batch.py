@@ -35,10 +35,10 @@ from closedloop.scenario.load import Variants
 from closedloop.scenario.scenario import Scenario, families
 from closedloop.simulation.batch.threads import Done, side_by_side
 from closedloop.simulation.batch.worker import Outcome, Worker, failed
-from closedloop.simulation.cache import Cache
 from closedloop.simulation.engines.lanes import FEWEST, uses_lanes
 from closedloop.simulation.engines.loops import COMPILED
 from closedloop.simulation.engines.user_law import Law
+from closedloop.simulation.parts import Cache
 from closedloop.simulation.simulate import check_engine
 from robot_models import RobotModel
 
@@ -94,26 +94,16 @@ def schema(types: Mapping[str, pa.DataType], keep: Sequence[str] = (), of: Scena
     for key, kind in types.items():
         picked = f"{key.partition('.')[0]}.kind" in types  # then runs differ in what the key is
         fields.append(field(key, kind, key_unit(key, None if picked else of), key_description(key)))
+    told = {
+        "status": "done; stopped: the values are those until then; refused: nothing ran; failed: an unexpected error",
+        "verdict": "good, or what is wrong with the numbers, see closedloop.record.report.verdict; empty if refused "
+        "or failed",
+        "control_verdict": "good, or what is wrong with the control (closedloop.record.report.control_verdict); empty "
+        "if nothing ran",
+        "reason": "why it was stopped, was refused or failed",
+    }
+    fields += [field(name, text, "", meaning) for name, meaning in told.items()]
     fields += [
-        field(
-            "status",
-            text,
-            "",
-            "done; stopped: the values are those until then; refused: nothing ran; failed: an unexpected error",
-        ),
-        field(
-            "verdict",
-            text,
-            "",
-            "good, or what is wrong with the numbers, see closedloop.record.report.verdict; empty if refused or failed",
-        ),
-        field(
-            "control_verdict",
-            text,
-            "",
-            "good, or what is wrong with the control (closedloop.record.report.control_verdict); empty if nothing ran",
-        ),
-        field("reason", text, "", "why it was stopped, was refused or failed"),
         field("rows", whole, "1", "rows of the run's record"),
         field("end_time", number, "s", "instant of the last row"),
     ]
@@ -133,12 +123,9 @@ def schema(types: Mapping[str, pa.DataType], keep: Sequence[str] = (), of: Scena
 
 
 def table_of(
-    columns: pa.Schema,
-    first: int,
-    points: Sequence[Sequence[Any]],
-    outcomes: Sequence[Outcome],
+    columns: pa.Schema, first: int, points: Sequence[Sequence[Any]], outcomes: Sequence[Outcome],
     keep: Sequence[str] = (),
-) -> pa.Table:
+) -> pa.Table:  # fmt: skip
     """Return the rows of the runs from number `first` on: `points` are the values of the keys."""
     import pyarrow as pa
 
@@ -150,14 +137,8 @@ def table_of(
         if columns.field(1 + k).type == pa.string():
             values = [value if isinstance(value, str) else json.dumps(value, default=str) for value in values]
         data.append(values)
-    data += [
-        [outcome.status for outcome in outcomes],
-        [outcome.verdict for outcome in outcomes],
-        [outcome.control for outcome in outcomes],
-        [outcome.reason for outcome in outcomes],
-        [outcome.rows for outcome in outcomes],
-        [outcome.end_time for outcome in outcomes],
-    ]
+    told = ("status", "verdict", "control", "reason", "rows", "end_time")
+    data += [[getattr(outcome, name) for outcome in outcomes] for name in told]
     data += list(measures.T)
     data += [_by_joint([outcome.values[WIDTH:] for outcome in outcomes], m) for m in range(len(JOINT_MEASURES))]
     arrays: list[Any] = [
@@ -213,17 +194,10 @@ OF_A_KIND = ("surface.contact", *(f"{part}.kind" for part in ("surface", "surfac
 
 @arguments_checked(changes="a list with one value for each run, by its key: {'law.force': [5.0, 10.0]}")
 def simulate_batch(
-    scenario: Scenario,
-    changes: Mapping[str, Sequence[Any]],
-    *,
-    grid: bool = False,
-    keep: Iterable[str] = (),
-    engine: str = COMPILED,
-    workers: int | None = None,
-    model: RobotModel | None = None,
-    progress: bool | Callable[[int, int], None] = False,
-    law: Law | None = None,
-) -> pa.Table:
+    scenario: Scenario, changes: Mapping[str, Sequence[Any]], *, grid: bool = False, keep: Iterable[str] = (),
+    engine: str = COMPILED, workers: int | None = None, model: RobotModel | None = None,
+    progress: bool | Callable[[int, int], None] = False, law: Law | None = None,
+) -> pa.Table:  # fmt: skip
     """Simulate a scenario many times with some keys changed, and return a table of the runs.
 
     Parameters

@@ -48,13 +48,9 @@ class Done:
 
 
 def side_by_side(
-    one: Callable[[T, int], None],
-    count: int,
-    threads: int,
-    own: Callable[[], T],
-    report: Callable[[], None],
+    one: Callable[[T, int], None], count: int, threads: int, own: Callable[[], T], report: Callable[[], None],
     done: Done,
-) -> None:
+) -> None:  # fmt: skip
     """Call ``one(own(), i)`` for every i below `count`, in threads with an own each; the first error ends it all.
 
     `report` is called before, now and then, and after; `done` is told to end whatever happens, and what `one` adds to

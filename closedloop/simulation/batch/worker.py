@@ -18,7 +18,6 @@ from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
-from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,7 +30,6 @@ from closedloop.jit.simd8 import WIDE
 from closedloop.loop.events.table import IMPACT, TOUCHDOWN, EventRow
 from closedloop.loop.step.record_row import Row, recorded
 from closedloop.mechanics.robot.pinocchio import Robot
-from closedloop.mechanics.robot.tree import Tree
 from closedloop.record.columns.record import SURFACE_COLUMNS
 from closedloop.record.report import control_verdict
 from closedloop.record.report.measures import (
@@ -48,13 +46,12 @@ from closedloop.record.report.summary import lost_to_slips
 from closedloop.record.report.verdict import GOOD, count_limited, forget_absent, verdict_of
 from closedloop.scenario import modes
 from closedloop.scenario.scenario import Scenario
-from closedloop.simulation.cache import Cache
-from closedloop.simulation.engines.compiled import compiled_tree, compiled_work
 from closedloop.simulation.engines.lanes import FEWEST, Kind, LaneRuns, kind_of, uses_lanes
 from closedloop.simulation.engines.law_source import fresh
-from closedloop.simulation.engines.loops import COMPILED
+from closedloop.simulation.engines.loops import COMPILED, compiled_work
 from closedloop.simulation.engines.problem import Problem
 from closedloop.simulation.engines.user_law import Law
+from closedloop.simulation.parts import Cache
 from closedloop.simulation.prepare import SECTION_BYTES, problem_of
 from closedloop.simulation.simulate import positions_told, run_loop
 from robot_models import RobotModel
@@ -165,18 +162,12 @@ class Worker:
     """
 
     def __init__(
-        self,
-        engine: str = COMPILED,
-        keep: tuple[str, ...] = (),
-        model: RobotModel | None = None,
-        runs: int = 1,
-        shared: Cache | None = None,
-        law: Law | None = None,
-    ) -> None:
+        self, engine: str = COMPILED, keep: tuple[str, ...] = (), model: RobotModel | None = None, runs: int = 1,
+        shared: Cache | None = None, law: Law | None = None,
+    ) -> None:  # fmt: skip
         self.law = law
         self._engine, self._keep, self._model, self._runs = engine, keep, model, runs
         self._cache = Cache(shared=shared)
-        self._trees: WeakKeyDictionary[Robot, tuple[Tree, Array]] = WeakKeyDictionary()
         self._failures: Counter[str] = Counter()  # sets of lanes that failed in a row, by kind of contact
         self._one_by_one: Counter[str] = Counter()  # sets of eight still to be run one by one
         self._rows, self._signals = np.empty(0), np.empty((CONTROL, 0))
@@ -231,7 +222,7 @@ class Worker:
         if len(scenarios) < FEWEST:
             return None
         try:
-            ended_well = lane_runs.run(self._trees[lane_runs.kind.robot][0], len(scenarios))
+            ended_well = lane_runs.run(len(scenarios))
             self._count(lane_runs.kind.contact, ended_well)
             return [self._outcome(lane_runs, i, each) for i, each in enumerate(scenarios)] if ended_well else None
         except Exception as error:  # alone, the one at fault fails by itself
@@ -256,7 +247,6 @@ class Worker:
         rows = (problem.steps + 1) * Row.count(problem.robot.n)
         if self._keep and rows * WIDE * self._rows.itemsize > LANE_ROW_BYTES:
             return None
-        self._tree(problem)
         return self._cache.get(
             ("lanes", kind), lambda: LaneRuns(problem, kind, bool(self._keep)), lambda made: made.bytes
         )
@@ -276,9 +266,8 @@ class Worker:
         return Outcome(RAN, None, steps + 1, values, lane_runs.end, columns, verdict, control)
 
     def _run(self, problem: Problem) -> Outcome:
-        tree = self._tree(problem)
         memory = self._row_memory(problem)
-        rows, events, failure, _ = run_loop(problem, fresh(self.law), engine=self._engine, rows=memory, tree=tree)
+        rows, events, failure, _ = run_loop(problem, fresh(self.law), engine=self._engine, rows=memory)
         n = problem.robot.n
         values = np.full(Values.count(n), math.nan)
         if self._signals.shape[1] < len(rows):
@@ -286,10 +275,9 @@ class Worker:
         signals = self._signals[:, : len(rows)]
         if len(rows) > 0:
             make_ready(measure_rows)
-            robot, work = tree
             measure_rows(
-                robot, (work, np.empty(Tally.count(n))), rows, (problem.table, problem.nodes), problem.h,
-                joint_limits(problem.robot.model), events, values, signals,
+                problem.robot.tree, (compiled_work(n), np.empty(Tally.count(n))), rows, (problem.table, problem.nodes),
+                problem.h, joint_limits(problem.robot.model), events, values, signals,
             )  # fmt: skip
             if k := len(problem.scenario.contact or ()):
                 slid = [recorded(rows, n, name, k, problem.row_states) for name in ("link_frictions", "link_slips")]
@@ -323,12 +311,6 @@ class Worker:
         """Return what of the law's feedback the step does not resolve."""
         key = "feedback", robot, modes.feedback_key(scenario, self._cache.text)
         return self._cache.get(key, lambda: modes.unresolved_feedback(scenario, robot), lambda lines: SECTION_BYTES)
-
-    def _tree(self, problem: Problem) -> tuple[Tree, Array]:
-        robot = problem.robot
-        if robot not in self._trees:
-            self._trees[robot] = compiled_tree(problem), compiled_work(robot.n)
-        return self._trees[robot]
 
     def _row_memory(self, problem: Problem) -> Array:
         """Return memory for the rows of a problem; the adaptive integrator has its own."""

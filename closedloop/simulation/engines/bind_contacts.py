@@ -1,4 +1,7 @@
-"""What the sections [[contact]] of a scenario ask for, as the rows that the loop reads; and what is wrong with them."""
+"""What the sections [[contact]] of a scenario ask for, as the rows that the loop reads; and what is wrong with them.
+
+And what else touches the links: the round end of a tool, and forces from outside.
+"""
 
 import math
 from difflib import get_close_matches
@@ -12,8 +15,11 @@ from closedloop.base.errors import ScenarioError
 from closedloop.jit.calls import address_of
 from closedloop.jit.interpreted import interpreted
 from closedloop.jit.user_code import of_users
+from closedloop.loop.step.external import BEGIN, END, FELT, SHARE
+from closedloop.loop.step.locate import BALL_TIP, BallTip
 from closedloop.loop.step.memory import Constants
 from closedloop.loop.step.tendons import rate_along, stops_of
+from closedloop.mechanics.contacts import rolling
 from closedloop.mechanics.contacts.edges import COUNT, PARTNER, choose_crossing, edges_of, reach_of_edges
 from closedloop.mechanics.contacts.friction import (
     STICKING,
@@ -24,16 +30,6 @@ from closedloop.mechanics.contacts.friction import (
     plain_friction,
 )
 from closedloop.mechanics.contacts.memory import ContactMemory, Contacts, make_contact_memory
-from closedloop.mechanics.contacts.rolling import (
-    EDGE,
-    SHAPE,
-    Shapes,
-    make_shape_memory,
-    roll_on_plane,
-    shape_of,
-    square_of,
-    turn_against,
-)
 from closedloop.mechanics.contacts.sections import BoxSection, ContactSection
 from closedloop.mechanics.contacts.soft import compliances_of, depth_entry, is_soft
 from closedloop.mechanics.contacts.surfaces import check_surface, contact_surfaces, surface_of, surfaces_of
@@ -49,7 +45,7 @@ from closedloop.mechanics.loops.memory import BOXES, POSITION, ROWS, Bound, Loop
 from closedloop.mechanics.loops.rows import locate_rows
 from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.mechanics.robot.tree import layout
-from closedloop.mechanics.surface.placed import contact_frame, unit
+from closedloop.mechanics.surface.placed import PlacedSurface, contact_frame, unit
 from closedloop.mechanics.surface.surface import largest_mobility
 from closedloop.scenario.arm import acting_tendons, joint_friction_of, stop_limits
 from closedloop.scenario.scenario import Scenario
@@ -116,7 +112,7 @@ def contact_memory(scenario: Scenario, robot: Robot, placed: ContactRows) -> Con
     names, k = names_of(sections), points + len(stops) + len(turns) + held
     laws = laws_of(scenario, names)
     asked = {i: law_at(section, where) for i, (section, where) in laws.items()}
-    past = max((rows_behind(each.lag, scenario.time.step) for each in asked.values()), default=0)
+    past = max((math.ceil(each.lag / scenario.time.step) + 3 for each in asked.values() if each.lag > 0.0), default=0)
     links, contacts = memory = make_contact_memory(robot.n, k, rows, len(stops), held, past, turns)
     contacts.restitution[:points] = [scenario.impact.restitution, *(section.restitution for section in sections)]
     contacts.restitution[points : points + len(stops)] = scenario.robot.stop_restitution
@@ -138,7 +134,7 @@ def contact_memory(scenario: Scenario, robot: Robot, placed: ContactRows) -> Con
         links.keep_alive(compliances=compliances)
     if turns or any(section.rolls or section.edge for section in sections):
         more = ((0, k - points), (0, 0))
-        shapes = make_shape_memory(robot.n, np.pad(placed.shapes, more), np.pad(placed.edges, more))
+        shapes = rolling.make_shape_memory(robot.n, np.pad(placed.shapes, more), np.pad(placed.edges, more))
         write_feet(shapes.shapes, placed.bound)
         write_spins(shapes.shapes, robot, placed.bound, scenario.has_surface)
         links.shapes = shapes.address
@@ -152,11 +148,11 @@ def contact_memory(scenario: Scenario, robot: Robot, placed: ContactRows) -> Con
     return memory
 
 
-def write_feet(shapes: Shapes, bound: Bound) -> None:
+def write_feet(shapes: rolling.Shapes, bound: Bound) -> None:
     """Write of each point that is on the edge of a disc, beside the same plane, the contact of that edge."""
     rim, ends = shapes.rim, bound.sides.reshape(4, -1)[1:3, ::3]
     for i in np.flatnonzero(rim.radius):
-        M = square_of(shapes.shape[i])
+        M = rolling.square_of(shapes.shape[i])
         for j in range(1, 1 + ends.shape[1]):
             a, b = slice(3 * i - 3, 3 * i), slice(3 * j - 3, 3 * j)
             alike = np.array_equal(ends[:, i - 1], ends[:, j - 1]) and not np.any(shapes.shape[j])
@@ -167,7 +163,7 @@ def write_feet(shapes: Shapes, bound: Bound) -> None:
                 rim.foot_of[j] = i
 
 
-def write_spins(shapes: Shapes, robot: Robot, bound: Bound, tip_touches: bool) -> None:
+def write_spins(shapes: rolling.Shapes, robot: Robot, bound: Bound, tip_touches: bool) -> None:
     """Write which joints turn a wheel: a link whose mass and whose contacts are symmetric about its axis.
 
     It carries no other link, no tip that may touch a surface, and no surface that others touch. Feet of a disc count as
@@ -185,7 +181,7 @@ def write_spins(shapes: Shapes, robot: Robot, bound: Bound, tip_touches: bool) -
         even = not np.any(x[list(mixed)]) and abs(x[layout.HALF_XX] - x[layout.HALF_YY]) <= ON_EDGE * x[layout.HALF_XX]
         carries = bool(np.any(parents == j) or np.any(others == j))
         for i in np.flatnonzero(own == j) + 1:
-            M, place = square_of(shapes.shape[i]), bound.at_a[3 * i - 3]
+            M, place = rolling.square_of(shapes.shape[i]), bound.at_a[3 * i - 3]
             size = ON_EDGE * max(float(np.linalg.norm(place)), ON_EDGE)
             alike = np.max(np.abs(M - QUARTER @ M @ QUARTER.T)) <= ON_EDGE * np.max(np.abs(M))
             on_axis = np.hypot(place[0], place[1]) <= size and not np.any(shapes.edge[i])
@@ -236,11 +232,6 @@ def laws_of(scenario: Scenario, names: tuple[str, ...]) -> dict[int, tuple[Surfa
         for i, law in enumerate(given)
         if law is not None and not isinstance(law, SurfaceCoulomb | NoFriction)
     }
-
-
-def rows_behind(lag: float, step: float) -> int:
-    """Return how many rows friction that is `lag` behind, s, looks back, and two more; 0 without a lag."""
-    return int(np.ceil(lag / step)) + 3 if lag > 0.0 else 0
 
 
 def write_laws(c: Contacts, laws: dict[int, Contact]) -> None:
@@ -324,7 +315,11 @@ def bind_rows(sections: tuple[ContactSection, ...], robot: Robot) -> Bound:
 def shapes_of(sections: tuple[ContactSection, ...], robot: Robot) -> tuple[Array, Array]:
     """Return the shapes and the edges of the contacts, see `ContactRows`."""
     k = len(sections) + 1
-    poses, found, edges = link_poses(robot.tree, robot.model.loop_home), np.zeros((k, SHAPE)), np.zeros((k, EDGE))
+    poses, found, edges = (
+        link_poses(robot.tree, robot.model.loop_home),
+        np.zeros((k, rolling.SHAPE)),
+        np.zeros((k, rolling.EDGE)),
+    )
     for i, (section, name) in enumerate(zip(sections, names_of(sections), strict=True), 1):
         if section.rolls or section.edge is not None:
             turn = placed_on_link(robot, poses, section.link, section.point, f"contact {name!r}: link")[1]
@@ -332,7 +327,7 @@ def shapes_of(sections: tuple[ContactSection, ...], robot: Robot) -> tuple[Array
             edges[i] = edges_of(section, turn)
             edges[i, PARTNER] = partner_of(sections, i)
         elif section.rolls:
-            found[i] = shape_of(section, turn)
+            found[i] = rolling.shape_of(section, turn)
     return found, edges
 
 
@@ -420,7 +415,7 @@ def placed_contacts(scenario: Scenario, robot: Robot, on: ContactRows, q: Array)
     names = names_of(sections)
     sides = on.bound.sides.reshape(4, -1)[:, ::3]
     memory = make_loop_memory(robot.tree, on.bound)
-    places = start_places(sections, memory, make_shape_memory(robot.n, on.shapes, on.edges).shapes, q)
+    places = start_places(sections, memory, rolling.make_shape_memory(robot.n, on.shapes, on.edges).shapes, q)
     for i, (name, section, (gap, inside, n)) in enumerate(zip(names, sections, places, strict=True)):
         if sides[1, i] == sides[2, i]:
             raise ScenarioError(f"contact {name!r}: no joint is between link and against: name frames that move apart")
@@ -443,7 +438,7 @@ def placed_contacts(scenario: Scenario, robot: Robot, on: ContactRows, q: Array)
 
 
 def start_places(
-    sections: tuple[ContactSection, ...], rows: LoopMemory, shapes: Shapes, q: Array
+    sections: tuple[ContactSection, ...], rows: LoopMemory, shapes: rolling.Shapes, q: Array
 ) -> list[tuple[float, float, Array]]:
     """Return the gap of each contact at q (n,), m, how far inside the edge of its surface it is, m, and its normal.
 
@@ -460,12 +455,57 @@ def start_places(
             places.append((float(place[0]), math.inf if there else -1.0, np.eye(3)[0]))
             continue
         if section.edge is not None:
-            interpreted(turn_against)(rows.links, rows.rows, 3 * i, shapes)
+            interpreted(rolling.turn_against)(rows.links, rows.rows, 3 * i, shapes)
             interpreted(choose_crossing)(shapes, i + 1, place, True, -1)
             places.append((float(shapes.crossing[0]), float(shapes.crossing[1]), shapes.frame[i + 1][0].copy()))
             continue
         if section.rolls and surface is None:
-            interpreted(roll_on_plane)(rows.links, rows.rows, shapes, i + 1, 0.0)
+            interpreted(rolling.roll_on_plane)(rows.links, rows.rows, shapes, i + 1, 0.0)
         now = None if surface is None else check_surface(surface, place, name)
         places.append((float(place[0]), math.inf, np.eye(3)[0]) if now is None else (now.gap, now.inside, now.frame[0]))
     return places
+
+
+class BallMemory(NamedTuple):
+    """The memory of a tip with a round end, kept as long as its address is used."""
+
+    links: BallTip
+    kept: tuple[Any, ...]
+
+
+def ball_memory(robot: Robot, surface: PlacedSurface, radius: float, loop: int) -> BallMemory:
+    """Return a new memory of a tip with an end of this radius, m, on a surface; `loop` is the address of the loop."""
+    poses = link_poses(robot.tree, robot.model.loop_home)
+    link, _, point = placed_on_link(robot, poses, robot.tip, (0.0, 0.0, 0.0), "robot.tip")
+    kinds = np.array([POSITION] * 3 + [link] * 3 + [-1] * 3 + [0, 1, 1], dtype=np.int64)
+    along = surface.frame if surface.fixed_plane else np.eye(3)
+    bound = bound_points(robot.n, kinds, np.tile(point, (3, 1)), np.zeros((3, 3)), along)
+    shape = np.zeros((1, rolling.SHAPE))
+    shape[0, rolling.RADIUS] = radius
+    rows, shapes = make_loop_memory(robot.tree, bound), rolling.make_shape_memory(robot.n, shape)
+    links = BallTip(np.zeros(BALL_TIP, dtype=np.int64))
+    links.address, links.loop, links.rows, links.shapes = address_of(links.memory), loop, rows.address, shapes.address
+    return BallMemory(links, (rows, shapes))
+
+
+def external_memory(scenario: Scenario, robot: Robot) -> LoopMemory:
+    """Return a new memory of forces from outside, see `closedloop.loop.step.external`."""
+    sections = scenario.external_force or ()
+    poses, m = link_poses(robot.tree, robot.model.loop_home), len(sections)
+    places: list[tuple[int, int, Array, Array, Array]] = []
+    for i, section in enumerate(sections):
+        where, (frame, at) = f"external_force[{i}]", section.place(robot.tip, scenario.tool.offset)
+        link, _, point = placed_on_link(robot, poses, frame, at, f"{where}.link")
+        other, turn, _ = placed_on_link(robot, poses, section.axes, (0.0, 0.0, 0.0), f"{where}.axes")
+        if link < 0:
+            raise ScenarioError(f"{where}.link = {shown(frame)}: no joint moves it: name a frame that moves")
+        places.append((link, other, point, turn @ section.force, turn @ section.moment))
+    links, others, points, forces, moments = map(np.array, zip(*places, strict=True))
+    sides = np.concatenate([np.full(m, POSITION), links, others, np.zeros(m)]).astype(np.int64)
+    bound = bound_points(robot.n, sides, points, np.zeros((m, 3)), moments)
+    memory = make_loop_memory(robot.tree, bound._replace(along_a=forces))
+    span = memory.rows.value
+    span[:, BEGIN] = [section.start for section in sections]
+    span[:, END] = [section.end for section in sections]
+    span[:, SHARE], span[:, FELT] = span[:, BEGIN] <= 0.0, [section.link is None for section in sections]
+    return memory

@@ -11,36 +11,24 @@ from numba import types
 
 from closedloop.base.arrays import Array
 from closedloop.base.errors import ScenarioError
+from closedloop.base.interrupts import compiler_at_work
 from closedloop.control.law import LawInput
 from closedloop.jit.calls import is_compiled
 from closedloop.jit.kernel import numba_ready, plain_numba
-from closedloop.jit.uninterrupted import compiler_at_work
 from closedloop.jit.user_code import why_not_compiled
 from closedloop.loop.step.entries import TORQUE, law_input
 from closedloop.loop.step.memory import loop_at
 from closedloop.mechanics.robot.pinocchio import Terms
-from closedloop.simulation.engines.law_source import (
-    NOT_FINITE,
-    NUMBERS,
-    RAISED,
-    WRONG_LENGTH,
-    Arguments,
-    arguments_of,
-    name_of,
-)
+from closedloop.simulation.engines import law_source
+from closedloop.simulation.engines.law_source import NOT_FINITE, RAISED, WRONG_LENGTH
 
 _READ = {d: types.Array(types.float64, d, "C", readonly=True) for d in (1, 2)}
 _TERMS: Any = types.NamedTuple((_READ[2], _READ[1], _READ[1], _READ[2], _READ[1]), Terms)  # type: ignore[no-untyped-call]
-_MATRICES = ("H", "L", "A", "X", "S", "J", "frame")
+_KINDS: dict[str, Any] = dict.fromkeys(law_source.NUMBERS, types.float64) | {"scratch": types.float64[::1]}
+_KINDS |= dict.fromkeys(("H", "L", "A", "X", "S", "J", "frame"), _READ[2])
 
 
-def _kind_of(name: str) -> Any:
-    if name in NUMBERS:
-        return types.float64
-    return types.float64[::1] if name == "scratch" else _READ[2 if name in _MATRICES else 1]
-
-
-_INPUT: Any = types.NamedTuple(tuple(map(_kind_of, LawInput._fields)), LawInput)  # type: ignore[no-untyped-call]
+_INPUT: Any = types.NamedTuple(tuple(_KINDS.get(name, _READ[1]) for name in LawInput._fields), LawInput)  # type: ignore[no-untyped-call]
 
 
 @lru_cache(maxsize=32)
@@ -48,8 +36,8 @@ _INPUT: Any = types.NamedTuple(tuple(map(_kind_of, LawInput._fields)), LawInput)
 def compiled_law(law: Any) -> Any:
     """Return the entry of a law of numba's, or say why there can be none; see `closedloop.jit.calls`."""
     if not is_compiled(law):
-        raise ScenarioError(f"engine = 'compiled': the law {name_of(law)} {_how_to_compile(law)}")
-    ways = arguments_of(law)
+        raise ScenarioError(f"engine = 'compiled': the law {law_source.name_of(law)} {_how_to_compile(law)}")
+    ways = law_source.arguments_of(law)
     asked: tuple[Any, ...] = (_INPUT,) if ways.sees_input else (types.float64, _READ[1], _READ[1], _TERMS)
     if ways.writes:
         asked += (types.float64[::1],)
@@ -69,8 +57,8 @@ def compiled_law(law: Any) -> Any:
     except Exception as error:  # numba's own, and whatever else its compiler fails with
         why = why_not_compiled(error, files, {"LawInput": LawInput._fields, "Terms": Terms._fields})
         raise ScenarioError(
-            f"the law {name_of(law)} cannot be compiled: {why}; or leave it to Python, without @numba.njit, with the "
-            "engine 'pinocchio'"
+            f"the law {law_source.name_of(law)} cannot be compiled: {why}; or leave it to Python, without @numba.njit, "
+            "with the engine 'pinocchio'"
         ) from None
 
 
@@ -88,7 +76,7 @@ def _how_to_compile(law: Any) -> str:
 
 def _check(law: Any, result: Any, right: bool, cure: str) -> None:
     if not right:
-        raise ScenarioError(f"the compiled law {name_of(law)} returns {result}: {cure}")
+        raise ScenarioError(f"the compiled law {law_source.name_of(law)} returns {result}: {cure}")
 
 
 def _same(x: Array) -> Array:
@@ -111,7 +99,7 @@ def _inner(function: Any) -> Any:
     return NestedFunction(function, {}, lambda: numba.njit(function))
 
 
-def _entry_of(law: Any, ways: Arguments) -> Any:
+def _entry_of(law: Any, ways: law_source.Arguments) -> Any:
     """Return the entry of a law that has been compiled for what it asks."""
     if ways.sees_input:
 

@@ -1,4 +1,4 @@
-"""A run of dual numbers: the loop of `closedloop.simulation.engines.compiled` with a value and seven derivatives.
+"""A run of dual numbers: the loop of `closedloop.simulation.engines.loops` with a value and seven derivatives.
 
 The memory of a prepared run is copied, eight numbers for each of its floats. Every float of it may have derivatives:
 they are how a scenario's numbers enter a run, whichever they are.
@@ -22,10 +22,8 @@ from closedloop.loop.events.transitions import collide
 from closedloop.loop.step.memory import Constants, Loop, State, Work
 from closedloop.mechanics.robot.tree import Tree
 from closedloop.record.report.measures import CONTROL, Tally, Values, joint_limits
-from closedloop.simulation.engines.compiled import Parts, compiled_work, measure_at, run_at, run_varied_at
-from closedloop.simulation.engines.loops import Pace
+from closedloop.simulation.engines import loops
 from closedloop.simulation.engines.problem import Problem
-from closedloop.simulation.engines.proceed import Addresses, proceed_at
 from closedloop.simulation.loop_calls import drive
 
 # Directions of one run.
@@ -109,8 +107,8 @@ class DualRun:
         tableau = np.ascontiguousarray(problem.integrator.tableau())
         self.rows = aligned(problem.steps + 1, problem.row_width)
         self.events = aligned(INITIAL_EVENTS, EVENT_WIDTH)
-        work = _widened(compiled_work(n))
-        self._addresses = a = Addresses(np.zeros(Addresses.count(), dtype=np.int64))
+        work = _widened(loops.compiled_work(n))
+        self._addresses = a = loops.Addresses(np.zeros(loops.Addresses.count(), dtype=np.int64))
         a.H, a.C = address_of(work), address_of(work[n * n :])
         a.loop, a.table, a.tableau = address_of(words[0]), address_of(table), address_of(tableau)
         a.rows, a.n = address_of(self.rows), n
@@ -120,7 +118,7 @@ class DualRun:
         self._values, self._tally = aligned(Values.count(n)), aligned(Tally.count(n))
         self._signals, self._limits = aligned(CONTROL, problem.steps + 1), _widened(joint_limits(problem.robot.model))
         self._step = _widened(np.array([problem.h]))
-        self._parts = p = Parts(np.zeros(Parts.count(), dtype=np.int64))
+        self._parts = p = loops.Parts(np.zeros(loops.Parts.count(), dtype=np.int64))
         p.constants, p.constants_size, p.scratch = address_of(constants), tree.constants.size, address_of(work)
         p.tally, p.values, p.signals = map(address_of, (self._tally, self._values, self._signals))
         p.limits, p.step = address_of(self._limits), address_of(self._step)
@@ -148,7 +146,7 @@ class DualRun:
     def run(self) -> bool:
         """Run to the end; False if something stops it."""
         at, parts = address_of(self._addresses.memory), address_of(self._parts.memory)
-        kernel, pace = dual(run_varied_at if self._varied else run_at), Pace()
+        kernel, pace = dual(loops.run_varied_at if self._varied else loops.run_at), loops.Pace()
 
         def call(request: int) -> int:
             with refused_as_one_line():
@@ -189,7 +187,7 @@ class DualRun:
 
     def values(self) -> Array:
         """Return the values of the summary and their derivatives, (K, 8), see `closedloop.record.report.measures`."""
-        dual(measure_at)(
+        dual(loops.measure_at)(
             self._tree, address_of(self._parts.memory), address_of(self._addresses.memory), self._base.problem.nodes,
             len(self.rows),
         )  # fmt: skip
@@ -208,7 +206,7 @@ def kernels(base: Prepared, varied: bool = False) -> list[Any]:
 
     `varied` says whether the constants of the robot have derivatives.
     """
-    found = [run_varied_at if varied else run_at, proceed_at, measure_at]
+    found = [loops.run_varied_at if varied else loops.run_at, loops.proceed_at, loops.measure_at]
     if base.loop.state.settings.unilateral or base.loop.state.contacts.at:
         found.append(collide)
     return [dual(each) for each in (*found, *base.problem.called(base.loop))]
@@ -217,12 +215,12 @@ def kernels(base: Prepared, varied: bool = False) -> list[Any]:
 def compile_for(base: Prepared, names: Collection[str]) -> None:
     """Compile those of the kernels that a run needs that have these names."""
     integers: dict[Any, tuple[Any, ...]] = {
-        run_at: (base.tree, 0, 0, 0), run_varied_at: (base.tree, 0, 0, 0),
-        measure_at: (base.tree, 0, 0, 0, 0), collide: (0,),
+        loops.run_at: (base.tree, 0, 0, 0), loops.run_varied_at: (base.tree, 0, 0, 0),
+        loops.measure_at: (base.tree, 0, 0, 0, 0), collide: (0,),
     }  # fmt: skip
     for kernel, arguments in integers.items():
         if dual(kernel).__name__ in names:
             direct(dual(kernel), *arguments)
-    for kernel in (proceed_at, *base.problem.called(base.loop)):
+    for kernel in (loops.proceed_at, *base.problem.called(base.loop)):
         if dual(kernel).__name__ in names:
             entry_address(dual(kernel))

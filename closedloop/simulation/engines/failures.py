@@ -16,7 +16,6 @@ from closedloop.loop.step.entries import CALLS
 from closedloop.loop.step.evaluate import SPEED_LIMIT
 from closedloop.loop.step.memory import Loop
 from closedloop.mechanics.closure import solve
-from closedloop.mechanics.contacts.surfaces import Called
 from closedloop.mechanics.friction.law import surface_parameters
 from closedloop.mechanics.friction.laws.lugre import LuGre, is_passive, passive_damping_speed
 from closedloop.mechanics.limits import MAX_IN_STEP, OUTPACED
@@ -49,73 +48,102 @@ def failure_of(
     status: int, t: float, robot: Robot, problem: Problem, law: Any, q: Array, v: Array
 ) -> errors.SimulationError:
     """Return the error of a status of `closedloop.mechanics.closure.solve` other than OK, at q and q̇ (n,) at t, s."""
-    if status == solve.SINGULAR and not problem.scenario.contact:
-        return errors.SingularClosureError(
-            f"{when(t)}: singular pose: at q = {_numbers(q)} the tip cannot move along the surface normal "
-            f"{_normal_at(problem, q, t).round(4).tolist()}, so Eq. 24 does not determine the contact force; "
-            "start from, or steer through, another posture",
-            t,
+    kind, what = _told(status, t, robot, problem, law, q, v)
+    return kind(f"{when(t)}: {what}", t)
+
+
+def _told(
+    status: int, t: float, robot: Robot, problem: Problem, law: Any, q: Array, v: Array
+) -> tuple[type[errors.SimulationError], str]:
+    """Return the kind of the error of a status, and what it says."""
+    contact = problem.scenario.contact
+    if status == solve.PUSHED or (status == solve.SINGULAR and not contact):
+        pose = (
+            f"singular pose: at q = {_numbers(q)} the tip cannot move along the surface normal "
+            f"{problem.surface.touching(robot.position(q), t=t).frame[0].round(4).tolist()}"
         )
-    if status == solve.PUSHED:
-        return errors.SingularClosureError(
-            f"{when(t)}: singular pose: at q = {_numbers(q)} the tip cannot move along the surface normal "
-            f"{_normal_at(problem, q, t).round(4).tolist()}, and the torque pushes it that way: the contact force "
-            "grows beyond all bounds; steer through another posture, or by a torque that does not push there",
-            t,
+        if status == solve.SINGULAR:
+            pose += ", so Eq. 24 does not determine the contact force; start from, or steer through, another posture"
+        else:
+            pose += (
+                ", and the torque pushes it that way: the contact force grows beyond all bounds; steer through another "
+                "posture, or by a torque that does not push there"
+            )
+        return errors.SingularClosureError, pose
+    if status == solve.SINGULAR:
+        return errors.SingularClosureError, (
+            "the contacts are inconsistent: no forces give all of them the accelerations that they require; look for "
+            "contacts of bodies that cannot move, and leave one out"
         )
     if status == solve.NOT_POSITIVE_DEFINITE:
-        return errors.SingularClosureError(
-            f"{when(t)}: the mass matrix of {robot.model.name} is not positive definite; "
-            "some joint moves no inertia (look at the masses and tensors of the last links)",
-            t,
+        return errors.SingularClosureError, (
+            f"the mass matrix of {robot.model.name} is not positive definite; some joint moves no inertia (look at the "
+            "masses and tensors of the last links)"
         )
     if status == solve.NO_NORMAL:
-        return errors.NoNormalError(
-            f"{when(t)}: the surface has no normal at {_numbers(robot.position(q))} m, where the tip is"
-            f"{', or that of another contact where its point is' if problem.scenario.contact else ''}: the gradient "
-            "of its φ vanishes there, or within a step from there, or is not a number; keep the tip near the surface, "
-            "away from its centre, edge or apex",
-            t,
+        return errors.NoNormalError, (
+            f"the surface has no normal at {_numbers(robot.position(q))} m, where the tip is"
+            f"{', or that of another contact where its point is' if contact else ''}: the gradient of its φ vanishes "
+            "there, or within a step from there, or is not a number; keep the tip near the surface, away from its "
+            "centre, edge or apex"
         )
     if status == solve.LOOPS_OPEN:
-        return errors.SimulationError(
-            f"{when(t)}: at q = {_numbers(q)} the joints cannot follow a [[mocap]]: the loops that hold onto it stay "
-            "open; look at mocap.motion, and at the start",
-            t,
+        return errors.SimulationError, (
+            f"at q = {_numbers(q)} the joints cannot follow a [[mocap]]: the loops that hold onto it stay open; look "
+            "at mocap.motion, and at the start"
         )
     if status == solve.CHATTER and problem.placed is not None:
         cure = "look at time.step" + ("" if law is None else ", and at a law that depends on the contacts")
-        who = "contacts" if problem.scenario.contact else "tip and the stops of joints"
-        return errors.ChatterError(
-            f"{when(t)}: the {who} chatter: at one instant their modes change again and again, and no set of "
-            f"modes agrees with its own forces; {cure}",
-            t,
+        return errors.ChatterError, (
+            f"the {'contacts' if contact else 'tip and the stops of joints'} chatter: at one instant their modes "
+            f"change again and again, and no set of modes agrees with its own forces; {cure}"
         )
     if status == solve.CHATTER:
-        return errors.ChatterError(
-            f"{when(t)}: the contact chatters: at one instant the torque presses the tip "
-            "on while it is free, and lifts it while it touches; look at a law that depends on the contact, and at "
-            "time.step",
-            t,
+        return errors.ChatterError, (
+            "the contact chatters: at one instant the torque presses the tip on while it is free, and lifts it while "
+            "it touches; look at a law that depends on the contact, and at time.step"
         )
-    if status in (solve.RUBS, solve.CROWDED):
-        return _rubs_without_end(status, t)
-    if problem.scenario.contact and status in (solve.PAINLEVE, solve.SINGULAR):
-        return _contacts_fail(status, t, problem.scenario)
+    if status == solve.RUBS:
+        return errors.ChatterError, (
+            "stick and slip alternate without end at one instant: no direction of slip agrees with its own friction, "
+            "and friction cannot hold the tip; look at friction, at stabiliser.kind (a tip that sticks drifts without "
+            "one), and at time.step"
+        )
+    if status == solve.CROWDED:
+        return errors.ChatterError, (
+            f"too many events: the contact changed its mode more than {MAX_IN_STEP} times in the last few steps, and "
+            f"more than {OUTPACED} times in each, faster than time.step resolves; look at its events, at a law or a "
+            "friction that acts faster than a step, and at time.step"
+        )
+    if status == solve.PAINLEVE and contact:
+        return errors.PainleveError, (
+            "Painlevé's paradox, or jamming: no forces inside the friction cones were found for any modes of the "
+            "contacts (one slides so that pressing harder pulls it in, or is jammed); lower the coefficients of "
+            f"friction, or change the posture or the direction of sliding{_stiff_bristles(problem.scenario)}"
+        )
     if status == solve.PAINLEVE:
         jams = ", or is jammed between it and the stops of joints" if problem.placed is not None else ""
-        return errors.PainleveError(
-            f"{when(t)}: Painlevé's paradox: the tip slides so that pressing harder pulls it into the surface (the "
-            f"coefficient of f in Eq. 24 with friction is not positive){jams}, and no rigid contact force exists; "
-            "lower the coefficient of friction, or change the posture or the direction of sliding",
-            t,
+        return errors.PainleveError, (
+            "Painlevé's paradox: the tip slides so that pressing harder pulls it into the surface (the coefficient of "
+            f"f in Eq. 24 with friction is not positive){jams}, and no rigid contact force exists; lower the "
+            "coefficient of friction, or change the posture or the direction of sliding"
         )
-    fast = int(np.argmax(np.abs(v))) if np.all(np.isfinite(v)) else 0
-    name = robot.joint_names[fast]
-    cure = _cure(problem, robot, law)
-    return errors.DivergenceError(
-        f"{when(t)}: {DIVERGES}: joint {name} is beyond {SPEED_LIMIT:g} rad/s (m/s) or not a number; {cure}", t
-    )
+    name = robot.joint_names[int(np.argmax(np.abs(v))) if np.all(np.isfinite(v)) else 0]
+    beyond = f"joint {name} is beyond {SPEED_LIMIT:g} rad/s (m/s) or not a number"
+    return errors.DivergenceError, f"{DIVERGES}: {beyond}; {_cure(problem, robot, law)}"
+
+
+def _stiff_bristles(scenario: Scenario) -> str:
+    """Return what to change of contacts whose friction gives a fast slip energy, "" if there are none."""
+    sections, told = scenario.contact or (), ""
+    for name, numbers in patches_of(sections).items():
+        law = sections[numbers[0]].friction_law
+        if isinstance(law, LuGre) and not is_passive(par := surface_parameters(law)):
+            told += (
+                f"; contact.{name}.friction_law: bristles that are not bent resist a fast slip with damping times its "
+                f"speed: lower damping, or give damping_speed = {passive_damping_speed(par):.3g} m/s or less"
+            )
+    return told
 
 
 def _cure(problem: Problem, robot: Robot, law: Any) -> str:
@@ -143,55 +171,8 @@ def _gains(scenario: Scenario, robot: Robot) -> str:
     return " and ".join(filter(None, (", ".join(keys[:-1]), *keys[-1:]))) or "the law's gains"
 
 
-def _rubs_without_end(status: int, t: float) -> errors.SimulationError:
-    """Return the error of a tip that changes its mode again and again, at one instant or in every step."""
-    if status == solve.RUBS:
-        return errors.ChatterError(
-            f"{when(t)}: stick and slip alternate without end at one instant: no direction of slip "
-            "agrees with its own friction, and friction cannot hold the tip; look at friction, at "
-            "stabiliser.kind (a tip that sticks drifts without one), and at time.step",
-            t,
-        )
-    return errors.ChatterError(
-        f"{when(t)}: too many events: the contact changed its mode more than {MAX_IN_STEP} times in the last few "
-        f"steps, and more than {OUTPACED} times in each, faster than time.step resolves; look at its events, "
-        "at a law or a friction that acts faster than a step, and at time.step",
-        t,
-    )
-
-
-def _contacts_fail(status: int, t: float, scenario: Scenario) -> errors.SimulationError:
-    """Return the error of several contacts that no forces go with."""
-    if status == solve.SINGULAR:
-        return errors.SingularClosureError(
-            f"{when(t)}: the contacts are inconsistent: no forces give all of them the accelerations that they "
-            "require; look for contacts of bodies that cannot move, and leave one out",
-            t,
-        )
-    sections = scenario.contact or ()
-    stiff: list[str] = []
-    for name, numbers in patches_of(sections).items():
-        law = sections[numbers[0]].friction_law
-        if isinstance(law, LuGre) and not is_passive(par := surface_parameters(law)):
-            stiff.append(
-                f"; contact.{name}.friction_law: bristles that are not bent resist a fast slip with damping times its "
-                f"speed: lower damping, or give damping_speed = {passive_damping_speed(par):.3g} m/s or less"
-            )
-    return errors.PainleveError(
-        f"{when(t)}: Painlevé's paradox, or jamming: no forces inside the friction cones were found for any modes "
-        "of the contacts (one slides so that pressing harder pulls it in, or is jammed); lower the coefficients of "
-        f"friction, or change the posture or the direction of sliding{''.join(stiff)}",
-        t,
-    )
-
-
 def _numbers(x: Array) -> str:
     return np.array2string(x, precision=4, separator=", ", suppress_small=True)
-
-
-def _normal_at(problem: Problem, q: Array, t: float) -> Array:
-    """Return the unit normal (3,) of the surface at the tip, base frame."""
-    return problem.surface.touching(problem.robot.position(q), t=t).frame[0]
 
 
 def raised_by_member(problem: Problem, loop: Loop) -> errors.LawError:
@@ -201,40 +182,26 @@ def raised_by_member(problem: Problem, loop: Loop) -> errors.LawError:
     """
     t = float(loop.w.time)
     problem.connect(loop, compiled=False)
-    for name, (member, entry, address) in _called_members(problem, loop).items():
+    state, scenario = loop.state, problem.scenario
+    # The key, the class and the entry of each, and the address that this takes.
+    called: list[tuple[str, Any, Any, int]] = [
+        (name, getattr(scenario, name), entry, int(state.surface.at) if name in MEMBERS else loop.address)
+        for name, entry in problem.entries().items()
+    ]
+    for name, entry in problem.believed_entries().items():
+        believed = getattr(problem.believed, MEMBERS[name])
+        called.append((f"belief.{name}", believed, entry, int(state.surface.believed.at)))
+    for each in contact_members(loop):
+        key = f"contact.{each.contact - 1}.{each.key}" if each.contact else each.key.split("_")[0]
+        called.append((key, each.member, each.entry, each.address))
+    for key, member, entry, address in called:
         for what in range(CALLS) if is_users(member) else ():
             try:
-                with np.errstate(all="ignore"), of_users(member, f"{name}.kind"):
+                with np.errstate(all="ignore"), of_users(member, f"{key}.kind"):
                     interpreted(entry)(address, what)
             except errors.ScenarioError as error:
                 return errors.LawError(f"{when(t)}: {error}", t)
-    for each in contact_members(loop):
-        for what in range(CALLS) if is_users(each.member) else ():
-            try:
-                with np.errstate(all="ignore"), of_users(each.member, _key_of(each)):
-                    interpreted(each.entry)(each.address, what)
-            except errors.ScenarioError as error:
-                return errors.LawError(f"{when(t)}: {error}", t)
     return errors.LawError(f"{when(t)}: a function of a class of your own failed", t)
-
-
-def _called_members(problem: Problem, loop: Loop) -> dict[str, tuple[Any, Any, int]]:
-    """Return the members that the loop calls, their entries and the addresses that these take, by their keys."""
-    state = loop.state
-    surfaces = {name: int(state.surface.at) for name in MEMBERS}
-    found = {
-        name: (getattr(problem.scenario, name), entry, surfaces.get(name, loop.address))
-        for name, entry in problem.entries().items()
-    }
-    return found | {
-        f"belief.{name}": (getattr(problem.believed, MEMBERS[name]), entry, int(state.surface.believed.at))
-        for name, entry in problem.believed_entries().items()
-    }
-
-
-def _key_of(called: Called) -> str:
-    """Return the key of a member of a contact of a link, or of the tip's."""
-    return f"contact.{called.contact - 1}.{called.key}.kind" if called.contact else f"{called.key.split('_')[0]}.kind"
 
 
 def member_error(problem: Problem, error: Exception, t: float) -> errors.LawError | None:

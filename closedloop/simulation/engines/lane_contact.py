@@ -13,7 +13,7 @@ that its loop has. So every number is that of the run by itself.
 from typing import Annotated, Any
 
 from closedloop.base.arrays import Array, IntArray
-from closedloop.control.reference.table import Reference
+from closedloop.control.reference.desired import Reference
 from closedloop.jit.blocks import Block
 from closedloop.jit.calls import call_at, fortran_at, integers_at, matrix_at, row_of, vector_at
 from closedloop.jit.inside.simd8 import lane, lane_at, put_at, with_lane
@@ -39,13 +39,13 @@ from closedloop.mechanics.friction.answers import LIMIT
 from closedloop.mechanics.limits import HOVERING, NEAR, OUTPACED, RESTING
 from closedloop.mechanics.robot.tree import Tree, tree_terms
 from closedloop.mechanics.surface.contact import CONTACT, FOUND, ask_at
-from closedloop.simulation.engines.proceed import ADDRESSES, IN_MEMORY, Addresses
+from closedloop.simulation.engines.loops import ADDRESSES, IN_MEMORY, Addresses
 
 
 class Alone(Block):
     """Whole numbers, int64: where the memory of a run's loop is, and where it stands."""
 
-    addresses: int  # see `closedloop.simulation.engines.compiled.Addresses`
+    addresses: int  # see `closedloop.simulation.engines.loops.Addresses`
     strike: int  # address of what computes an impact, see `closedloop.simulation.ensemble.member.strike`
     window: int  # address of its first row and its two latest
     row: int  # the latest

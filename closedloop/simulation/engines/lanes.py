@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from closedloop.base.arrays import Array, IntArray
-from closedloop.control.reference.table import Reference
+from closedloop.control.reference.desired import Reference
 from closedloop.jit.background import make_ready
 from closedloop.jit.blocks import Block
 from closedloop.jit.calls import address_of, entry_address, integers_at, matrix_at, vector_at
@@ -52,7 +52,6 @@ from closedloop.record.report.measures import (
 )
 from closedloop.scenario.arm import has_stops
 from closedloop.scenario.scenario import Scenario
-from closedloop.simulation.engines.compiled import compiled_terms, compiled_work
 from closedloop.simulation.engines.lane_contact import (
     ALONE,
     WINDOW,
@@ -68,9 +67,15 @@ from closedloop.simulation.engines.lane_contact import (
     take_row,
     write_rows,
 )
-from closedloop.simulation.engines.loops import COMPILED
+from closedloop.simulation.engines.loops import (
+    COMPILED,
+    Addresses,
+    addresses_of,
+    compiled_terms,
+    compiled_work,
+    set_rows,
+)
 from closedloop.simulation.engines.problem import Problem
-from closedloop.simulation.engines.proceed import Addresses, addresses_of, set_rows
 from closedloop.simulation.engines.scenario_numbers import needs_general_form
 from closedloop.simulation.ensemble.member import strike
 
@@ -468,7 +473,7 @@ class LaneRuns:
         if loop is not None and lane == 0:
             self._state.memory[:] = loop.state.memory
 
-    def run(self, tree: Tree, count: int) -> bool:
+    def run(self, count: int) -> bool:
         """Run the first `count` lanes; False if one of them could not be finished here."""
         self._forces[:, :count] = np.transpose(self._given[:count])
         if self.kind.many:
@@ -482,7 +487,14 @@ class LaneRuns:
             self._alone[:] = [self._members[i if i < count else 0].address for i in range(WIDE)]
         make_ready(run_in_lanes)
         status = run_in_lanes(
-            tree, self._addresses.memory, self._state.memory, self._h, self._tableau, tables, self._sizes, self._limits
+            self.kind.robot.tree,
+            self._addresses.memory,
+            self._state.memory,
+            self._h,
+            self._tableau,
+            tables,
+            self._sizes,
+            self._limits,
         )
         return status == OK
 

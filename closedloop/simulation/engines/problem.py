@@ -1,11 +1,12 @@
 """A scenario as numbers: everything that the loop needs, open to inspection before it runs.
 
-And the loop's memory at t = 0: its constants, its whole-number state, where the run starts, the round end of a tool,
-and the first reading of encoders.
+And the loop's memory at t = 0: its constants, its whole-number state, where the run starts, and the
+first reading of encoders.
 """
 
 from collections.abc import Callable, Mapping
-from typing import Any, NamedTuple, Self
+from dataclasses import dataclass
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -15,92 +16,47 @@ from closedloop.base.errors import ClosedLoopError, LawError, ScenarioError
 from closedloop.base.families import is_users
 from closedloop.base.upwards import called
 from closedloop.control.law import LawInput
-from closedloop.control.reference.table import Reference
-from closedloop.control.sensor import NO_ENCODER, start_sensor
+from closedloop.control.reference.desired import Desired, Reference
+from closedloop.control.sensor import NO_ENCODER, PackedSensor, start_sensor
 from closedloop.jit.calls import address_of, entry_address
 from closedloop.jit.interpreted import interpreted, twin_address
-from closedloop.jit.parameters import one_joint_block, parameter_block
+from closedloop.jit.parameters import one_joint_block, parameter_block, per_joint
 from closedloop.jit.user_code import of_users, why_member_not_compiled
 from closedloop.loop.events.locate import MEASURED, PROJECTION, STEP_END
 from closedloop.loop.step.closed_loops import closed_loops
 from closedloop.loop.step.contacts import contacts_in_step
-from closedloop.loop.step.external import BEGIN, END, FELT, SHARE, external_forces
-from closedloop.loop.step.locate import BALL_TIP, BallTip, ball_tip, read_joints
+from closedloop.loop.step.external import external_forces
+from closedloop.loop.step.locate import ball_tip, read_joints
 from closedloop.loop.step.memory import SPRING_STICK, Constants, Loop, State, Work, make_loop
 from closedloop.loop.step.record_row import ContactRow
 from closedloop.mechanics.closure.contact_force import FREE, PRESSED
-from closedloop.mechanics.contacts.rolling import RADIUS, SHAPE, make_shape_memory
 from closedloop.mechanics.contacts.sections import AS_IMPACT
 from closedloop.mechanics.contacts.surfaces import Called
 from closedloop.mechanics.friction.contact import Contact
 from closedloop.mechanics.friction.law import Slip
 from closedloop.mechanics.friction.laws.none import NoFriction
 from closedloop.mechanics.impact import RATIOS
-from closedloop.mechanics.impact.single import RESTITUTIONS, coefficient_at
+from closedloop.mechanics.impact.single import RESTITUTIONS, Restitution, coefficient_at
+from closedloop.mechanics.integrators import Scheme
 from closedloop.mechanics.limits import TOUCHING
-from closedloop.mechanics.loops.bind import link_poses, step_memory
-from closedloop.mechanics.loops.memory import POSITION, LoopMemory, bound_points, make_loop_memory
+from closedloop.mechanics.loops.bind import step_memory
 from closedloop.mechanics.loops.reactions import torque_of_drives
 from closedloop.mechanics.loops.rows import locate_rows
 from closedloop.mechanics.loops.solve import close_state, factor_rows
 from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.mechanics.surface.contact import place_at
-from closedloop.mechanics.surface.placed import PlacedSurface
+from closedloop.mechanics.surface.placed import PlacedSurface, Plane
 from closedloop.record.columns.derived import Recorded
 from closedloop.record.run import Run
 from closedloop.scenario.load import START, Variants, replaced
-from closedloop.scenario.scenario import Scenario
+from closedloop.scenario.scenario import BaumgarteGains, Scenario
 from closedloop.simulation.engines import bind_contacts
-from closedloop.simulation.engines.proceed import proceed_at
-from closedloop.simulation.engines.scenario_numbers import SIZES, ScenarioNumbers, entries_of
+from closedloop.simulation.engines.bind_contacts import ContactPlaces, ContactRows
+from closedloop.simulation.engines.loops import proceed_at
+from closedloop.simulation.engines.scenario_numbers import SIZES, PackedLaw, RecordLayout, Shape, entries_of
 from closedloop.simulation.parts import asking
+from robot_models import RobotModel
 from robot_models.cached import cached_property
-from robot_models.errors import shown
-
-
-class BallMemory(NamedTuple):
-    """The memory of a tip with a round end, kept as long as its address is used."""
-
-    links: BallTip
-    kept: tuple[Any, ...]
-
-
-def ball_memory(robot: Robot, surface: PlacedSurface, radius: float, loop: int) -> BallMemory:
-    """Return a new memory of a tip with an end of this radius, m, on a surface; `loop` is the address of the loop."""
-    poses = link_poses(robot.tree, robot.model.loop_home)
-    link, _, point = bind_contacts.placed_on_link(robot, poses, robot.tip, (0.0, 0.0, 0.0), "robot.tip")
-    kinds = np.array([POSITION] * 3 + [link] * 3 + [-1] * 3 + [0, 1, 1], dtype=np.int64)
-    along = surface.frame if surface.fixed_plane else np.eye(3)
-    bound = bound_points(robot.n, kinds, np.tile(point, (3, 1)), np.zeros((3, 3)), along)
-    shape = np.zeros((1, SHAPE))
-    shape[0, RADIUS] = radius
-    rows, shapes = make_loop_memory(robot.tree, bound), make_shape_memory(robot.n, shape)
-    links = BallTip(np.zeros(BALL_TIP, dtype=np.int64))
-    links.address, links.loop, links.rows, links.shapes = address_of(links.memory), loop, rows.address, shapes.address
-    return BallMemory(links, (rows, shapes))
-
-
-def external_memory(scenario: Scenario, robot: Robot) -> LoopMemory:
-    """Return a new memory of forces from outside, see `closedloop.loop.step.external`."""
-    sections = scenario.external_force or ()
-    poses, m = link_poses(robot.tree, robot.model.loop_home), len(sections)
-    places: list[tuple[int, int, Array, Array, Array]] = []
-    for i, section in enumerate(sections):
-        where, (frame, at) = f"external_force[{i}]", section.place(robot.tip, scenario.tool.offset)
-        link, _, point = bind_contacts.placed_on_link(robot, poses, frame, at, f"{where}.link")
-        other, turn, _ = bind_contacts.placed_on_link(robot, poses, section.axes, (0.0, 0.0, 0.0), f"{where}.axes")
-        if link < 0:
-            raise ScenarioError(f"{where}.link = {shown(frame)}: no joint moves it: name a frame that moves")
-        places.append((link, other, point, turn @ section.force, turn @ section.moment))
-    links, others, points, forces, moments = map(np.array, zip(*places, strict=True))
-    sides = np.concatenate([np.full(m, POSITION), links, others, np.zeros(m)]).astype(np.int64)
-    bound = bound_points(robot.n, sides, points, np.zeros((m, 3)), moments)
-    memory = make_loop_memory(robot.tree, bound._replace(along_a=forces))
-    span = memory.rows.value
-    span[:, BEGIN] = [section.start for section in sections]
-    span[:, END] = [section.end for section in sections]
-    span[:, SHARE], span[:, FELT] = span[:, BEGIN] <= 0.0, [section.link is None for section in sections]
-    return memory
 
 
 def read_encoders(loop: Loop, table: Array) -> None:
@@ -123,7 +79,7 @@ def read_encoders(loop: Loop, table: Array) -> None:
 STICK_SPEED = 1e-7
 
 
-def write_constants(problem: ScenarioNumbers, constants: Constants) -> None:
+def write_constants(problem: "Problem", constants: Constants) -> None:
     """Write the constants of a run, unless they are there: those of a problem that says the same."""
     there = constants.kept.get("asked")
     if there is None or not there.stands_for(problem):
@@ -133,7 +89,7 @@ def write_constants(problem: ScenarioNumbers, constants: Constants) -> None:
     constants.restitution = problem.scenario.impact.restitution
 
 
-def _write_constants(problem: ScenarioNumbers, constants: Constants) -> None:
+def _write_constants(problem: "Problem", constants: Constants) -> None:
     robot, wrong = problem.robot, problem.scenario.model_error
     constants.h, constants.node = problem.h, problem.h / problem.nodes
     constants.rest_speed = problem.scenario.impact.rest_speed
@@ -167,21 +123,21 @@ def _write_constants(problem: ScenarioNumbers, constants: Constants) -> None:
                 constants.joint_capture_speed[j], constants.joint_lag[j] = joint.capture_speed, joint.lag
 
 
-def write_settings(problem: ScenarioNumbers, state: State) -> None:
+def write_settings(problem: "Problem", state: State) -> None:
     """Write the settings of a run."""
-    to, law = state.settings, problem.layout
-    for name, value in law.settings:
+    to = state.settings
+    for name, value in problem.loop_settings:
         setattr(to, name, value)
-    to.steps, to.hold, to.nodes_per_step, to.general = problem.steps, problem.hold, problem.nodes, law.general
+    to.steps, to.hold, to.nodes_per_step, to.general = problem.steps, problem.hold, problem.nodes, problem.general
     to.project, to.semi_implicit = problem.project, problem.integrator.semi_implicit
     to.time_stepping = problem.integrator.time_stepping
     state.friction.sticking, state.joint_friction.sticking = problem.shape.sticking
     state.sensor.axes, state.sensor.states, _, state.sensor.sampled = problem.shape.sensor
-    states = law.row_states if state.law_states > 0 else 0  # a user's function in place of the law has none
-    to.states_at = law.row_width - states if states > 0 else 0
+    states = problem.row_states if state.law_states > 0 else 0  # a user's function in place of the law has none
+    to.states_at = problem.row_width - states if states > 0 else 0
 
 
-def write_start(problem: ScenarioNumbers, state: State, w: Work) -> None:
+def write_start(problem: "Problem", state: State, w: Work) -> None:
     """Write where the arm, the tip's contact and the states of sensor, friction and motors are at t = 0."""
     n = problem.robot.n
     state.mode, state.sampled, state.cleared = problem.mode, 1, 1
@@ -231,13 +187,13 @@ def write_start(problem: ScenarioNumbers, state: State, w: Work) -> None:
         w.z[-n:] = np.where(driven, problem.v, 0.0)
 
 
-def tip_contact(problem: ScenarioNumbers) -> Contact:
+def tip_contact(problem: "Problem") -> Contact:
     """Return the contact of the tip, for what is asked of its friction once."""
     member, numbers, _ = problem.friction
     return Contact(member, parameter_block(member)(numbers, problem.robot.n), 2)
 
 
-def joint_contacts(problem: ScenarioNumbers) -> list[Contact]:
+def joint_contacts(problem: "Problem") -> list[Contact]:
     """Return the contact of each joint, for the same."""
     member, rows, _ = problem.joint_friction
     return [Contact(member, one_joint_block(member)(row, problem.robot.n), 1) for row in rows]
@@ -252,11 +208,140 @@ def as_it_is(entry: Any) -> Any:
     return entry
 
 
-class Problem(ScenarioNumbers):
-    """The numbers of a scenario, and the memory of the simulation loop.
+@dataclass(frozen=True)
+class Problem:
+    """The numbers of a scenario, everything that the loop needs, and the memory of the simulation loop.
 
-    Its attributes are those of `closedloop.simulation.engines.scenario_numbers.ScenarioNumbers`.
+    `robot`, `surface`, `integrator`: the arm with its tip, the surface, the scheme.
+    `believed`: the surface that the controller believes in; None: the true one.
+    `frame` (3, 3): contact frame at t = 0: rows n, t1, t2 in base axes.
+    `q`, `v`, (n,) arrays: state at t = 0.
+    `mode`: contact mode at t = 0, see `closedloop.mechanics.closure.contact_force`.
+    `steps`, `h`: number of steps and the step, s.
+    `stabiliser` (2,): s_v, 1/s, and s_p, 1/s².
+    `pd_start`: instant from which the PD part of the law acts, s.
+    `law`, `compensation`, `friction`, `joint_friction`, `compliance`: the law, its compensation of friction, friction,
+        and the compliance of the surface, as numbers.
+    `sensor`: the force sensor.
+    `nodes`: rows of the table to a step.
+    `project`: whether the state is projected onto the closure after each step.
+    `hold`: steps for which a sampled torque is held; 0: the law is evaluated at every stage.
+    `drives` (2, n): largest torque of each joint, and its largest change from sample to sample, N m; infinite where
+        there is none.
+    `transmission` (5, n): see `closedloop.control.drives.transmission_constants`.
+    `encoder` (k,): the parameters of the encoders.
+    `wanted`: the reference at any instant.
+    `placed`: where the contacts of [[contact]] are; None without any.
+    `tolerance`: relative tolerance of an adaptive integrator; None: the step is fixed.
+    `forces` (P,): the desired force at every row of the table, N.
+    `bare_table`: the table but for the force, where it has that of another problem of the same path.
+    `general`: whether the law is called by address.
+    `loop_settings`: what sections say of the loop beside numbers, see `closedloop.loop.step.memory.Settings`.
+    `record`, `row_width`, `row_states`: what its record has, numbers in a row of it, and how many of these are states
+        of the law and its compensation, the last.
+    `shape`: how many numbers there are of what is called.
+    `there`: the surface for a tip somewhere, see `PlacedSurface.below`.
+    `ends`: where the groups of joints end, see `closedloop.mechanics.robot.tree.group_ends`.
+    `has_loops`: whether the robot has loop joints.
+    `tendons`: the friction along tendons of the robot, and their stops: rows of `robot_models.tendon.rough_tendons`.
+    `stops`: where the joints have hard stops, lower and upper, (n,).
+    `member_digests`: see `closedloop.scenario.user_module.member_digests`.
+    `bare`: the robot's model without what the scenario puts on it.
+    `model_given`: the model that was given in place of that which the scenario names.
+    `spare`: what steps its loop, by engine, where no run uses it: `closedloop.simulation.loop_calls.Driver`.
     """
+
+    scenario: Scenario
+    robot: Robot
+    surface: PlacedSurface
+    believed: PlacedSurface | None
+    frame: Array
+    integrator: type[Scheme]
+    q: Array
+    v: Array
+    mode: int
+    steps: int
+    h: float
+    stabiliser: Array
+    pd_start: float
+    law: PackedLaw
+    compensation: PackedLaw
+    friction: PackedLaw
+    joint_friction: PackedLaw
+    compliance: PackedLaw
+    sensor: PackedSensor
+    nodes: int
+    project: bool
+    hold: int
+    drives: Array
+    transmission: Array
+    encoder: Array
+    wanted: Desired
+    placed: ContactPlaces | None
+    tolerance: float | None
+    forces: Array
+    bare_table: Array
+    general: bool
+    loop_settings: tuple[tuple[str, int], ...]
+    record: RecordLayout
+    row_width: int
+    row_states: int
+    shape: Shape
+    there: PlacedSurface
+    ends: tuple[int, ...]
+    has_loops: bool
+    tendons: Array
+    stops: tuple[Array, Array]
+    member_digests: dict[str, str]
+    bare: RobotModel
+    model_given: RobotModel | None
+    spare: dict[str, Any]
+
+    @property
+    def time_constant(self) -> float | None:
+        """T of Baumgarte's stabiliser, s, as given or as chosen; None without that stabiliser."""
+        section = self.scenario.stabiliser
+        if not isinstance(section, BaumgarteGains):
+            return None
+        given = section.time_constant
+        return given if isinstance(given, float) else float(self.stabiliser[1] ** -0.5)
+
+    @property
+    def plane(self) -> Plane:
+        """The plane through the surface's origin at t = 0, with its normal there: the surface itself if it is one."""
+        return Plane(self.surface.normal, self.surface.offset)
+
+    @property
+    def path(self) -> Array:
+        """q_des and q̇_des of every row of the table, (P, 2, n)."""
+        n = self.robot.n
+        return self.table[:, : 2 * n].reshape(-1, 2, n)
+
+    @property
+    def gains(self) -> Array:
+        """K_p and K_d of every joint, (2, n), of a law that has them."""
+        law: Any = self.scenario.law
+        return np.array([per_joint(f"law.{name}", getattr(law, name), self.robot.n) for name in ("kp", "kd")])
+
+    @property
+    def settings(self) -> Array:
+        """f_des at the start, N, and the instant from which the PD part acts, s."""
+        return np.array([self.table[0, 2 * self.robot.n + 9], self.pd_start])
+
+    @property
+    def contact_rows(self) -> ContactRows | None:
+        """The rows of the contacts of [[contact]] on the links; None without any."""
+        return None if self.placed is None else self.placed.rows
+
+    @property
+    def n(self) -> int:
+        """Joints."""
+        return self.robot.n
+
+    @property
+    def restitution(self) -> type[Restitution]:
+        """The law of restitution."""
+        return RESTITUTIONS[self.scenario.impact.law]
 
     def run(
         self, changes: Mapping[str, Any] | None = None, *, q: ArrayLike | None = None, v: ArrayLike | None = None,
@@ -303,7 +388,11 @@ class Problem(ScenarioNumbers):
 
     @cached_property
     def table(self) -> Array:
-        """See `ScenarioNumbers`: this problem's forces are written into a `bare_table` when it is first asked for."""
+        """The reference at every instant at which a stage is evaluated, see `closedloop.loop.step.entries`, and what
+        the force sensor draws, (steps · nodes + 1, 2 n + 14).
+
+        The forces are written into `bare_table` when it is first asked for.
+        """
         self.bare_table[:, Reference.place("force", self.n)] = self.forces
         return self.bare_table
 
@@ -368,11 +457,11 @@ class Problem(ScenarioNumbers):
             state.surface.noise = address_of(noise)
             loop.w.keep_alive(noise=noise)
         if self.scenario.tool.radius > 0.0 and self.scenario.has_surface:
-            ball = ball_memory(self.robot, self.there, self.scenario.tool.radius, state.address)
+            ball = bind_contacts.ball_memory(self.robot, self.there, self.scenario.tool.radius, state.address)
             state.ball.at = ball.links.address
             loop.w.keep_alive(ball=ball)
         if self.scenario.external_force:
-            external = external_memory(self.scenario, self.robot)
+            external = bind_contacts.external_memory(self.scenario, self.robot)
             state.external.at, external.links.loop = external.address, state.address
             loop.w.keep_alive(external=external)
         if self.has_loops:
@@ -386,7 +475,7 @@ class Problem(ScenarioNumbers):
         if contacts is not None:
             state.contacts.at, contacts.links.loop = contacts.address, state.address
             points = len(self.scenario.contact or ())
-            contacts.links.record_at = self.layout.row_width - self.layout.row_states - ContactRow.count(points)
+            contacts.links.record_at = self.row_width - self.row_states - ContactRow.count(points)
             contacts.contacts.mode[0] = PRESSED if state.settings.unilateral == 0 else FREE
             loop.w.keep_alive(contacts=contacts)
         return loop

@@ -4,20 +4,16 @@ That is a law at its address, columns of the record, readings of encoders.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import cache, lru_cache
 from typing import Any, NamedTuple
-
-import numpy as np
 
 from closedloop.base.arrays import Array
 from closedloop.control.compensation.none import NoCompensation
 from closedloop.control.drives import DrivesSection
 from closedloop.control.law import Compensation, ControlLaw
-from closedloop.control.reference.desired import Desired
-from closedloop.control.reference.table import Reference
+from closedloop.control.reference.desired import Reference
 from closedloop.control.sensor import MEASURED_VELOCITY, NO_ENCODER, PackedSensor, SensorSection, encoder_kind
-from closedloop.jit.parameters import pack, pack_each_joint, per_joint, state_block
+from closedloop.jit.parameters import pack, pack_each_joint, state_block
 from closedloop.loop.events.table import EVENT_COLUMNS
 from closedloop.loop.step.entries import friction_entry, joint_friction_entry, law_entry
 from closedloop.loop.step.locate import MOTORS_MEASURED
@@ -27,20 +23,13 @@ from closedloop.loop.step.solve_contact import compliance_entry
 from closedloop.mechanics.friction.law import FrictionLaw, JointFriction
 from closedloop.mechanics.friction.laws.none import NoFriction
 from closedloop.mechanics.impact import RATIOS
-from closedloop.mechanics.impact.single import RESTITUTIONS, Restitution
-from closedloop.mechanics.integrators import Scheme
-from closedloop.mechanics.robot.pinocchio import Robot
+from closedloop.mechanics.impact.single import RESTITUTIONS
 from closedloop.mechanics.surface.compliances.none import Rigid
-from closedloop.mechanics.surface.placed import PlacedSurface, Plane
-from closedloop.mechanics.surface.surface import Compliance
 from closedloop.record.columns.derived import StatesOf, recorded_states, state_columns
 from closedloop.record.columns.record import RESISTANCE_COLUMNS, SURFACE_COLUMNS, Column
-from closedloop.scenario.arm import acting_tendons, has_stops, joint_friction_of, stop_limits, without_tools
-from closedloop.scenario.scenario import BaumgarteGains, BeliefSection, ModelErrorSection, Scenario
-from closedloop.scenario.user_module import member_digests
-from closedloop.simulation.engines.bind_contacts import ContactPlaces, ContactRows
+from closedloop.scenario.arm import has_stops, joint_friction_of
+from closedloop.scenario.scenario import BeliefSection, ModelErrorSection, Scenario
 from robot_models import RobotModel
-from robot_models.cached import cached_property
 
 STICKING = {"rigid": RIGID_STICK, "elastic": ELASTIC_STICK, "spring": SPRING_STICK}
 
@@ -75,11 +64,6 @@ def pack_friction(section: FrictionLaw, n: int, joints: bool = False) -> PackedL
 def _check_functions(member: Any, key: str) -> None:
     """Refuse a member that lacks functions, once."""
     member.check_functions(key)
-
-
-def pack_compliance(section: Compliance, n: int) -> PackedLaw:
-    """Turn a soft surface into numbers for n joints."""
-    return PackedLaw(type(section), pack(section, n, "compliance"), 0)
 
 
 def sticking(friction: PackedLaw) -> int:
@@ -156,6 +140,15 @@ class RecordLayout(NamedTuple):
     places: dict[str, tuple[bool, int | slice]]
     names: tuple[dict[str, None], dict[str, None]]  # of all in order, without and with states of the law
     states: dict[str, Column]  # what the columns of these states are, see `state_columns`
+    width: int  # numbers in a recorded row
+    row_states: int  # how many of them are states of the law and its compensation, the last
+
+
+def record_of(scenario: Scenario, states: StatesOf) -> RecordLayout:
+    """Return the columns of a run of a scenario."""
+    sections = scenario.contact or ()
+    resists = any(each.resists for each in sections)
+    return record_layout(states, len(sections), resists, arm_columns(scenario), scenario.has_surface)
 
 
 @lru_cache(maxsize=128)
@@ -177,51 +170,26 @@ def record_layout(
     absent = () if has_surface else SURFACE_COLUMNS
     every = dict.fromkeys(x for x in ("time", *places, "potential_energy", *EVENT_COLUMNS) if x not in absent)
     without = dict.fromkeys(name for name in every if name not in states)
-    return RecordLayout(places, (without, every), {name: column for name, (column, _) in states.items()})
+    columns, of_law = {name: column for name, (column, _) in states.items()}, recorded_states(states_of)
+    return RecordLayout(places, (without, every), columns, row_width(n, bool(arm), contacts, of_law), of_law)
 
 
 def _moved(place: int | slice, by: int) -> int | slice:
     return slice(place.start + by, place.stop + by) if isinstance(place, slice) else place + by
 
 
-class Layout(NamedTuple):
-    """What the kinds of a scenario's members say of the loop and of its record."""
-
-    general: bool  # whether the law is called by address
-    row_width: int  # numbers in a recorded row
-    row_states: int  # how many of them are states of the law and its compensation, the last
-    record: RecordLayout
-    entries: tuple[tuple[str, Any], ...]  # what the loop calls of the members, see `entries_of`
-    settings: tuple[tuple[str, int], ...]  # of `closedloop.loop.step.memory.Settings`
-
-    @classmethod
-    def of(cls, scenario: Scenario, model: RobotModel) -> "Layout":
-        """Return that of a scenario with a robot."""
-        states, general = StatesOf.of(scenario, model.n), calls_law(scenario, model)
-        entries, settings = entries_of(scenario, model, general), settings_of(scenario, model)
-        return cls.joined(scenario, states, general, tuple(entries.items()), tuple(settings.items()))
-
-    @classmethod
-    def joined(
-        cls, scenario: Scenario, states: StatesOf, general: bool, entries: tuple[tuple[str, Any], ...],
-        settings: tuple[tuple[str, int], ...],
-    ) -> "Layout":  # fmt: skip
-        """Return that of its parts."""
-        sections, arm, of_law = scenario.contact or (), arm_columns(scenario), recorded_states(states)
-        resists = any(each.resists for each in sections)
-        record = record_layout(states, len(sections), resists, arm, scenario.has_surface)
-        return cls(general, row_width(states.n, bool(arm), len(sections), of_law), of_law, record, entries, settings)
-
-
 def settings_of(scenario: Scenario, model: RobotModel) -> dict[str, int]:
     """Return what sections say of the loop beside numbers, by the names of `Settings`."""
     transmission, belief, wrong = scenario.transmission, scenario.belief, scenario.model_error
+    reading = encoder_kind(scenario.encoder)
+    if reading == NO_ENCODER and transmission.on_motors:
+        reading = MEASURED_VELOCITY
     to = {
         "unilateral": scenario.surface.contact == "unilateral",
         "impact_law": RATIOS[RESTITUTIONS[scenario.impact.law].ratio_of],
         "feed_forward": scenario.reference.orientation != "free",
         "elastic": MOTORS_MEASURED if transmission.on_motors else transmission.elastic,
-        "encoder": reading_kind(scenario), "balls": len(model.balls), "undriven": len(model.undriven),
+        "encoder": reading, "balls": len(model.balls), "undriven": len(model.undriven),
         "drives": scenario.drives != _DRIVES, "model_error": wrong != _MODEL_ERROR,
         "misjudged": belief.differs or wrong.normal != 0.0 or belief.normal_noise > 0.0,
         "arm_at": Row.count(model.n) if arm_columns(scenario) else 0,
@@ -263,201 +231,3 @@ def arm_columns(scenario: Scenario) -> tuple[str, ...]:
     encoder = ("measured_position", "measured_velocity") if scenario.reads_encoders else ()
     motors = ("motor_position", "motor_velocity", "transmitted_torque") if scenario.transmission.elastic else ()
     return drives + encoder + motors
-
-
-def reading_kind(scenario: Scenario) -> int:
-    """Return whether the controller reads encoders, see `closedloop.control.sensor.encoder_kind`."""
-    kind = encoder_kind(scenario.encoder)
-    return MEASURED_VELOCITY if kind == NO_ENCODER and scenario.transmission.on_motors else kind
-
-
-@dataclass(frozen=True)
-class ScenarioNumbers:
-    """A scenario as numbers: everything that the loop needs, open to inspection before it runs.
-
-    `robot`, `surface`, `integrator`: the arm with its tip, the surface, the scheme.
-    `believed`: the surface that the controller believes in; None: the true one.
-    `frame` (3, 3): contact frame at t = 0: rows n, t1, t2 in base axes.
-    `q`, `v`, (n,) arrays: state at t = 0.
-    `mode`: contact mode at t = 0, see `closedloop.mechanics.closure.contact_force`.
-    `steps`, `h`: number of steps and the step, s.
-    `stabiliser` (2,): s_v, 1/s, and s_p, 1/s².
-    `pd_start`: instant from which the PD part of the law acts, s.
-    `law`, `compensation`, `friction`, `joint_friction`, `compliance`: the law, its compensation of friction, friction,
-        and the compliance of the surface, as numbers.
-    `sensor`: the force sensor.
-    `table` (steps · nodes + 1, 2 n + 14): the reference at every instant at which a stage is evaluated, see
-        `closedloop.loop.step.entries`, and the numbers that the force sensor draws.
-    `nodes`: rows of the table to a step.
-    `project`: whether the state is projected onto the closure after each step.
-    `hold`: steps for which a sampled torque is held; 0: the law is evaluated at every stage.
-    `drives` (2, n): largest torque of each joint, and its largest change from sample to sample, N m; infinite where
-        there is none.
-    `transmission` (5, n): see `closedloop.control.drives.transmission_constants`.
-    `encoder` (k,): the parameters of the encoders.
-    `wanted`: the reference at any instant.
-    `placed`: where the contacts of [[contact]] are; None without any.
-    `tolerance`: relative tolerance of an adaptive integrator; None: the step is fixed.
-    """
-
-    scenario: Scenario
-    robot: Robot
-    surface: PlacedSurface
-    believed: PlacedSurface | None
-    frame: Array
-    integrator: type[Scheme]
-    q: Array
-    v: Array
-    mode: int
-    steps: int
-    h: float
-    stabiliser: Array
-    pd_start: float
-    law: PackedLaw
-    compensation: PackedLaw
-    friction: PackedLaw
-    joint_friction: PackedLaw
-    compliance: PackedLaw
-    sensor: PackedSensor
-    table: Array
-    nodes: int
-    project: bool
-    hold: int
-    drives: Array
-    transmission: Array
-    encoder: Array
-    wanted: Desired
-    placed: ContactPlaces | None
-    tolerance: float | None
-
-    @property
-    def time_constant(self) -> float | None:
-        """T of Baumgarte's stabiliser, s, as given or as chosen; None without that stabiliser."""
-        section = self.scenario.stabiliser
-        if not isinstance(section, BaumgarteGains):
-            return None
-        given = section.time_constant
-        return given if isinstance(given, float) else float(self.stabiliser[1] ** -0.5)
-
-    @property
-    def plane(self) -> Plane:
-        """The plane through the surface's origin at t = 0, with its normal there: the surface itself if it is one."""
-        return Plane(self.surface.normal, self.surface.offset)
-
-    @property
-    def path(self) -> Array:
-        """q_des and q̇_des of every row of the table, (P, 2, n)."""
-        n = self.robot.n
-        return self.table[:, : 2 * n].reshape(-1, 2, n)
-
-    @property
-    def gains(self) -> Array:
-        """K_p and K_d of every joint, (2, n), of a law that has them."""
-        law: Any = self.scenario.law
-        return np.array([per_joint(f"law.{name}", getattr(law, name), self.robot.n) for name in ("kp", "kd")])
-
-    @property
-    def settings(self) -> Array:
-        """f_des at the start, N, and the instant from which the PD part acts, s."""
-        return np.array([self.table[0, 2 * self.robot.n + 9], self.pd_start])
-
-    @cached_property
-    def forces(self) -> Array:
-        """The desired force at every row of the table (P,), N."""
-        return self.table[:, Reference.place("force", self.n)]
-
-    @cached_property
-    def bare_table(self) -> Array:
-        """The table but for the force, where it has that of another problem of the same path."""
-        return self.table
-
-    @cached_property
-    def layout(self) -> Layout:
-        """What the kinds of the scenario's members say of the loop and of its record."""
-        return Layout.of(self.scenario, self.robot.model)
-
-    @property
-    def contact_rows(self) -> ContactRows | None:
-        """The rows of the contacts of [[contact]] on the links; None without any."""
-        return None if self.placed is None else self.placed.rows
-
-    @cached_property
-    def there(self) -> PlacedSurface:
-        """The surface for a tip somewhere, see `PlacedSurface.below`."""
-        return self.surface
-
-    @property
-    def n(self) -> int:
-        """Joints."""
-        return self.robot.n
-
-    @cached_property
-    def ends(self) -> tuple[int, ...]:
-        """Where the groups of joints end, see `closedloop.mechanics.robot.tree.group_ends`."""
-        return tuple(self.robot.tree.ends.tolist())
-
-    @cached_property
-    def has_loops(self) -> bool:
-        """Whether the robot has loop joints."""
-        return bool(self.robot.model.loops)
-
-    @property
-    def general(self) -> bool:
-        """Whether the law is called by address."""
-        return self.layout.general
-
-    @property
-    def row_width(self) -> int:
-        """Numbers in a recorded row."""
-        return self.layout.row_width
-
-    @property
-    def row_states(self) -> int:
-        """How many of them are states of the law and its compensation, the last."""
-        return self.layout.row_states
-
-    @property
-    def record(self) -> RecordLayout:
-        """What its record has."""
-        return self.layout.record
-
-    @cached_property
-    def member_digests(self) -> dict[str, str]:
-        """See `closedloop.scenario.user_module.member_digests`."""
-        return member_digests(self.scenario)
-
-    @cached_property
-    def shape(self) -> Shape:
-        """How many numbers there are of what is called."""
-        laws = self.law, self.compensation, self.friction, self.joint_friction
-        return Shape.of(*laws, self.compliance, self.sensor, self.tendons)
-
-    @cached_property
-    def tendons(self) -> Array:
-        """What rubs along tendons of the robot, and their stops: rows of `robot_models.tendon.rough_tendons`."""
-        return acting_tendons(self.scenario, self.robot.model)
-
-    @cached_property
-    def stops(self) -> tuple[Array, Array]:
-        """Where the joints have hard stops, lower and upper, (n,)."""
-        return stop_limits(self.scenario, self.robot.model)
-
-    @cached_property
-    def bare(self) -> RobotModel:
-        """The robot's model without what the scenario puts on it."""
-        return without_tools(self.robot.model)
-
-    @cached_property
-    def model_given(self) -> RobotModel | None:
-        """The model that was given in place of that which the scenario names."""
-        return self.bare
-
-    @cached_property
-    def spare(self) -> dict[str, Any]:
-        """What steps its loop, by engine, where no run uses it: `closedloop.simulation.loop_calls.Driver`."""
-        return {}
-
-    @property
-    def restitution(self) -> type[Restitution]:
-        """The law of restitution."""
-        return RESTITUTIONS[self.scenario.impact.law]

@@ -5,7 +5,6 @@ from collections.abc import Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
 from itertools import pairwise
 from typing import Any
-from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,12 +18,8 @@ from closedloop.loop.events.locate import FAILED, MEASURED, STEP_END, TERMS
 from closedloop.loop.step.memory import Loop, Work
 from closedloop.mechanics.closure.conditioning import BATCH
 from closedloop.mechanics.closure.contact_force import PRESSED, STUCK
-from closedloop.mechanics.robot.pinocchio import Robot
-from closedloop.mechanics.robot.tree import Tree
-from closedloop.simulation.engines.compiled import compiled_terms, compiled_tree, compiled_work
-from closedloop.simulation.engines.loops import COMPILED, kernels_of
+from closedloop.simulation.engines import loops
 from closedloop.simulation.engines.problem import Problem
-from closedloop.simulation.engines.proceed import addresses_of, set_events, set_rows
 from closedloop.simulation.ensemble.lane_steps import Lanes, may_step_in_lanes, step_in_lanes
 from closedloop.simulation.ensemble.member import BETWEEN, MEMBER, WAITING, Member, step_members, strike
 from closedloop.simulation.loop_calls import Answers, drive, unwritten
@@ -43,9 +38,9 @@ class _One:
         self.answers = Answers(problem, self.loop)
         n, self._beside = problem.robot.n, steps + SPARE
         self._window = window = np.zeros((self._beside + BATCH, problem.row_width))
-        H, C, scratch = compiled_terms(compiled_work(n), n)
+        H, C, scratch = loops.compiled_terms(loops.compiled_work(n), n)
         tableau = np.ascontiguousarray(problem.integrator.tableau())
-        self.addresses = addresses_of((H, C), self.loop, problem.table, tableau, window, self.answers.events)
+        self.addresses = loops.addresses_of((H, C), self.loop, problem.table, tableau, window, self.answers.events)
         self.answers.addresses = self.addresses
         # The batch of condition numbers starts anew at each control instant; scratch is kept from no call to the next.
         w, sizes = self.loop.w, self.loop.w.sizes
@@ -70,13 +65,9 @@ class _One:
         m.keep_alive(scratch=scratch, copied=copied, marks=marks, boundary=boundary, H=H, C=C)
         self._fresh = own.copy()
 
-    def fits(self, problem: Problem) -> bool:
-        """Whether it may be of a problem: it differs in numbers alone from the one before."""
-        return problem.fits(self.loop)
-
-    def begin(self, problem: Problem, tree: Tree) -> None:
+    def begin(self, problem: Problem) -> None:
         """Go to the start of a problem that it fits."""
-        self.problem, m = problem, self.member
+        self.problem, m, tree = problem, self.member, problem.robot.tree
         for array, before in self._before:
             array[...] = before
         problem.begin(self.loop)
@@ -86,8 +77,8 @@ class _One:
         if len(self._window) != keep + self._beside:
             self._window = np.empty((keep + self._beside, problem.row_width))
         self._window.fill(0.0)
-        set_rows(self.addresses, problem.table, self._window)
-        set_events(self.addresses, self.answers.events)
+        loops.set_rows(self.addresses, problem.table, self._window)
+        loops.set_events(self.addresses, self.answers.events)
         self.addresses.row_count = problem.steps + 1  # the window stands for all of them, see `make_room`
         m.memory[:] = self._fresh
         m.window, m.room, m.keep = address_of(self._window), len(self._window), keep
@@ -95,7 +86,8 @@ class _One:
         m.blocks, m.once, m.carrier, m.serial, m.balls = tree.blocks, tree.once, tree.carrier, tree.serial, tree.balls
         m.begins = MEASURED if self.loop.state.settings.encoder else STEP_END
         m.lanes = m.held and may_step_in_lanes(problem, self.loop.state, self.loop.constants, self.loop.w)
-        if may_strike_compiled(problem):
+        # What an impact gives back is known before, unless it is of links or a user says it.
+        if not problem.scenario.contact and problem.restitution.__module__.startswith("closedloop."):
             problem.set_restitution(self.loop)
             m.strike = entry_address(strike)
         m.keep_alive(tree=tree)
@@ -107,12 +99,6 @@ def _shares(count: int, threads: int) -> list[int]:
     if groups < threads:
         return [count * k // threads for k in range(threads + 1)]
     return [min(WIDE * (groups * k // threads), count) for k in range(threads + 1)]
-
-
-def may_strike_compiled(problem: Problem) -> bool:
-    """Whether an impact's coefficient of restitution is known before: of links, or a user's, it is not."""
-    own = problem.scenario.contact or ()
-    return not own and problem.restitution.__module__.startswith("closedloop.")
 
 
 class Ensemble:
@@ -146,7 +132,6 @@ class Ensemble:
         self._members: IntArray = np.zeros((count, MEMBER), dtype=np.int64)
         self._ones: list[_One | None] = [None] * count
         self._ready: set[Any] = set()  # kernels that are compiled
-        self._trees: WeakKeyDictionary[Robot, Tree] = WeakKeyDictionary()
         self._pool: ThreadPoolExecutor | None = None
         self._process = os.getpid()  # that has the threads of the pool
         self._lanes: list[Lanes] = []
@@ -174,10 +159,10 @@ class Ensemble:
             )
         problem = problem if own else problem.with_table(problem.table.copy())
         one = self._ones[i]
-        if one is None or not one.fits(problem):
+        if one is None or not problem.fits(one.loop):
             one = self._ones[i] = _One(problem, self.steps, self._held, self._members[i], one.loop if one else None)
-            self._make_ready(*kernels_of(COMPILED), step_members, strike, *problem.called(one.loop))
-        one.begin(problem, self._tree(problem))
+            self._make_ready(*loops.kernels_of(loops.COMPILED), step_members, strike, *problem.called(one.loop))
+        one.begin(problem)
         if one.member.lanes:
             self._make_ready(step_in_lanes)
             self._forget_trees(problem)
@@ -199,12 +184,6 @@ class Ensemble:
             self._groups[:] = np.reshape([each.address for each in self._lanes], self._groups.shape)
         for each in self._lanes:
             each.group.trees[:] = 0
-
-    def _tree(self, problem: Problem) -> Tree:
-        robot = problem.robot
-        if robot not in self._trees:
-            self._trees[robot] = compiled_tree(problem)
-        return self._trees[robot]
 
     def problem(self, i: int) -> Problem:
         """Return the problem of simulation `i`."""

@@ -16,14 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.base.arrays import Array
-from closedloop.control.reference.table import TableRow
+from closedloop.control.reference.desired import TableRow
 from closedloop.control.sensor import SensorParameters, bias_at, sense, sensor_rates, signal_of
 from closedloop.jit.calls import address_of, call_at, entry_address, integers_at, matrix_at, row_of, vector_at
 from closedloop.jit.inside.simd8 import float64x8_at, lane, with_lane
 from closedloop.jit.kernel import entry_kernel, jit_disabled, kernel, kernel_inlined, plain
 from closedloop.jit.simd8 import WIDE, aligned, every, select
 from closedloop.loop.events.locate import slip_margin
-from closedloop.loop.events.substep import save_slip
 from closedloop.loop.step.advance import advance
 from closedloop.loop.step.energy_supplied import add_stage_work, commit_work, save_power
 from closedloop.loop.step.evaluate import bounded
@@ -31,7 +30,6 @@ from closedloop.loop.step.locate import locate_on_plane
 from closedloop.loop.step.memory import RIGID_STICK, SMOOTH, Constants, State, Work, loop_at
 from closedloop.loop.step.record_row import Row, write_row
 from closedloop.loop.step.solve_contact import near_singular
-from closedloop.loop.step.tip_friction import surface_friction
 from closedloop.mechanics.closure.contact_force import (
     STUCK,
     accelerate,
@@ -45,8 +43,9 @@ from closedloop.mechanics.closure.solve import OK, SINGULAR
 from closedloop.mechanics.friction.answers import LIMIT
 from closedloop.mechanics.limits import OUTPACED
 from closedloop.mechanics.robot.tree import LINK_ROWS, Tree, tree_terms, work_size
+from closedloop.simulation.engines.lane_contact import ask_friction_of, save_slip_of
+from closedloop.simulation.engines.loops import ADDRESSES, Addresses
 from closedloop.simulation.engines.problem import Problem
-from closedloop.simulation.engines.proceed import ADDRESSES, Addresses
 from closedloop.simulation.ensemble.member import (
     AT_MARK,
     BETWEEN,
@@ -104,30 +103,6 @@ def put_in(g: Group, w: Work, c: LaneConstants, tree: Array, kept: Kept, i: int)
         of_tree = vector_at(m.constants, m.constants_size)
         for j in range(m.constants_size):
             tree[j] = with_lane(tree[j], i, of_tree[j])
-
-
-@kernel
-def apply_friction(g: Group, w: Work, i: int) -> None:
-    """Ask the friction of the member of lane `i` at the slip that its lane has."""
-    m, a = member_at(g, i)
-    state, constants, own = loop_at(a.loop)
-    own.tip.u[1], own.tip.u[2] = lane(w.tip.u[1], i), lane(w.tip.u[2], i)
-    surface_friction(own, constants, state, matrix_at(m.window, m.room, a.row_width))
-    for k in range(2):
-        w.friction.c[k] = with_lane(w.friction.c[k], i, own.friction.c[k])
-        w.friction.viscous[k] = with_lane(w.friction.viscous[k], i, own.friction.viscous[k])
-
-
-@kernel
-def save_slip_of(g: Group, w: Work, i: int) -> None:
-    """Save the slip of lane `i` at the beginning of a step, in its member's memory and in the lane."""
-    _, a = member_at(g, i)
-    state, constants, own = loop_at(a.loop)
-    own.tip.u[1], own.tip.u[2] = lane(w.tip.u[1], i), lane(w.tip.u[2], i)
-    save_slip(own, constants, state)
-    w.start.slip_speed = with_lane(w.start.slip_speed, i, own.start.slip_speed)
-    for k in range(2):
-        w.friction.direction[k] = with_lane(w.friction.direction[k], i, own.friction.direction[k])
 
 
 @kernel_inlined
@@ -194,7 +169,7 @@ def step_in_lanes(address: int, count: int) -> int:
             free_acceleration(w.L, w.tip.X, w.tip.drift_c, w.torque, C, w.y, w.tip.a, ends)
             if sticks or state.friction.entry != 0:
                 for i in range(WIDE if not stuck else 0):
-                    apply_friction(g, w, i)
+                    ask_friction_of(w, g.members, i)
             status, stays = hold_on_surface(w, c, kept, stuck, sticks, h)
             goes_on = min(goes_on, stays)
             if unilateral:
@@ -209,7 +184,7 @@ def step_in_lanes(address: int, count: int) -> int:
         commit_work(w)
         if sticks and (not stuck or step == steps - 1):
             for i in range(WIDE):
-                save_slip_of(g, w, i)
+                save_slip_of(w, g.members, i)
         save_power(w, state)
         add_stage_work(w, state, 0, h, tableau[1, 0])
         advance(0, h, True, False, tableau, w)

@@ -3,7 +3,7 @@
 A member goes from one control instant to the next in one call: what the action sets is held until then, events within
 are located as in any run. At the end the row of the record is there, but the step after it begins with the next action.
 So the loop's memory is copied just before that row is evaluated (the mark), and put back once the action is known, as
-`closedloop.simulation.stepper` does it: what happens is to the same bits what `closedloop.Simulator` does.
+`closedloop.simulation.loop_calls` does it: what happens is to the same bits what `closedloop.Simulator` does.
 """
 
 from typing import Annotated
@@ -11,7 +11,7 @@ from typing import Annotated
 import numpy as np
 
 from closedloop.base.arrays import Array, IntArray
-from closedloop.control.reference.table import Reference
+from closedloop.control.reference.desired import Reference
 from closedloop.jit.blocks import Block
 from closedloop.jit.calls import call_at, fortran_at, integers_at, matrix_at, row_of, vector_at
 from closedloop.jit.kernel import entry_kernel, kernel
@@ -25,7 +25,7 @@ from closedloop.mechanics.closure.contact_force import FREE, PRESSED
 from closedloop.mechanics.contacts.memory import contacts_at
 from closedloop.mechanics.loops.reactions import lose_undriven
 from closedloop.mechanics.robot.tree import LINK_ROWS, Tree, tree_terms
-from closedloop.simulation.engines.proceed import ADDRESSES, IN_MEMORY, Addresses
+from closedloop.simulation.engines.loops import ADDRESSES, IN_MEMORY, Addresses
 
 # What `Member.request` is at a control instant, where an action is waited for.
 WAITING = -1
@@ -37,7 +37,10 @@ TORQUE, FORCE, SHIFT, PARAMETER, JOINT = range(5)
 class Member(Block):
     """Whole numbers, int64: where the memory of a simulation is, and where it stands."""
 
-    addresses: int  # see `closedloop.simulation.engines.compiled.Addresses`
+    # As `closedloop.simulation.engines.lane_contact.Alone`, whose kernels members in lanes share.
+    addresses: int  # see `closedloop.simulation.engines.loops.Addresses`
+    strike: int  # address of what computes an impact; 0: Python does
+    window: int  # address of the rows that are kept
     links: int  # the robot, see `closedloop.mechanics.robot.tree.Tree`
     constants: int
     constants_size: int
@@ -53,13 +56,11 @@ class Member(Block):
     reading: int  # address of the reading of the force sensor in the mark
     boundary: int  # address of the reference's row at the next control instant, before an action displaced it
     displaced: int  # 1 if one did
-    window: int  # address of the rows that are kept, how many there is room for, and which row is the first
-    room: int
+    room: int  # how many rows there is room for in the window, and which of all is the first there
     first: int
     keep: int  # how many earlier rows a step may read or write
     begins: int  # the phase that a row begins with
     held: int  # 1 if a torque from outside acts; 0: the scenario's law
-    strike: int  # address of what computes an impact; 0: Python does
     steps: int  # between two control instants
     target: int  # the row of the next control instant
     marked: int  # 1 if the mark is of the latest control instant, AT_MARK if the memory itself is as the mark would be

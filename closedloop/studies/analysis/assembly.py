@@ -39,8 +39,8 @@ from closedloop.mechanics.integrators import ADAPTIVE, AdaptiveIntegrator, Schem
 from closedloop.mechanics.surface.compliances.none import Rigid
 from closedloop.scenario.load import Variants
 from closedloop.scenario.scenario import Scenario
-from closedloop.simulation.cache import Cache
 from closedloop.simulation.engines.problem import Problem
+from closedloop.simulation.parts import Cache
 from closedloop.simulation.prepare import prepare
 from closedloop.studies.analysis.here import (
     EventHere,

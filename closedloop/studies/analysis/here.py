@@ -18,7 +18,7 @@ import numpy as np
 
 from closedloop.base.arrays import Array
 from closedloop.base.errors import ScenarioError, SimulationError
-from closedloop.control.reference.table import Reference
+from closedloop.control.reference.desired import Reference
 from closedloop.control.sensor import DIFFERENCE, NO_ENCODER, EncoderParameters, SensorParameters
 from closedloop.jit.background import make_ready
 from closedloop.jit.interpreted import interpreted
@@ -38,8 +38,7 @@ from closedloop.scenario.scenario import Scenario
 from closedloop.scenario.tables import names_of
 from closedloop.simulation.engines.loops import PINOCCHIO
 from closedloop.simulation.engines.problem import Problem, read_encoders
-from closedloop.simulation.loop_calls import Driver, drive
-from closedloop.simulation.stepper import Stepper
+from closedloop.simulation.loop_calls import Driver, Stepper, drive
 
 # What of the contacts' memory is their state, beside what the scenario says of them.
 STATE = (

@@ -21,8 +21,8 @@ from closedloop.base.second_process import Beside, possible
 from closedloop.mechanics.surface.compliances.none import Rigid
 from closedloop.scenario.load import Variants
 from closedloop.scenario.scenario import Scenario
-from closedloop.simulation.cache import Cache
 from closedloop.simulation.engines.problem import Problem
+from closedloop.simulation.parts import Cache
 from closedloop.simulation.prepare import prepare
 from closedloop.studies.analysis.assembly import instant_of, loop_at, of_fixed_steps
 from closedloop.studies.analysis.here import Here, Instant, refuse_outside, run_on

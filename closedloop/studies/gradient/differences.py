@@ -33,8 +33,8 @@ from closedloop.scenario.scenario import Scenario
 from closedloop.scenario.tables import table_type, tables_of
 from closedloop.simulation.batch.simulate_batch import threads_for
 from closedloop.simulation.batch.threads import Done, side_by_side
-from closedloop.simulation.cache import Cache
 from closedloop.simulation.engines.loops import COMPILED, PINOCCHIO
+from closedloop.simulation.parts import Cache
 from closedloop.simulation.prepare import prepare
 from closedloop.simulation.simulate import as_run, check_engine, run_loop
 from robot_models import RobotModel

@@ -42,9 +42,9 @@ from closedloop.record.report.measures import JOINT_MEASURES, MEASURES, Values
 from closedloop.record.report.summary import shares_at
 from closedloop.record.run import Run
 from closedloop.scenario.tables import names_of
-from closedloop.simulation.cache import Cache
 from closedloop.simulation.engines.dual_loop import DIRECTIONS, DualRun, Prepared, kernels, prepared, structure
 from closedloop.simulation.engines.problem import Problem
+from closedloop.simulation.parts import Cache
 from closedloop.simulation.prepare import prepare
 from closedloop.simulation.simulate import columns_of_rows, positions_told
 from closedloop.studies.gradient import differences

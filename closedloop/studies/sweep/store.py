@@ -51,8 +51,8 @@ from closedloop.scenario.user_module import import_law
 from closedloop.simulation.batch.simulate_batch import in_blocks, run_variants, schema, table_of
 from closedloop.simulation.batch.threads import Done, uninterrupted
 from closedloop.simulation.batch.worker import Outcome, Worker
-from closedloop.simulation.cache import Cache
 from closedloop.simulation.engines.law_source import law_digest
+from closedloop.simulation.parts import Cache
 
 if TYPE_CHECKING:
     import pyarrow as pa

@@ -34,9 +34,9 @@ from closedloop.scenario.user_module import import_law
 from closedloop.simulation.batch.simulate_batch import kept_columns, key_type, threads_for
 from closedloop.simulation.batch.threads import Done, side_by_side
 from closedloop.simulation.batch.worker import Worker
-from closedloop.simulation.cache import Cache
 from closedloop.simulation.engines.law_source import law_digest
 from closedloop.simulation.engines.loops import COMPILED
+from closedloop.simulation.parts import Cache
 from closedloop.simulation.simulate import check_engine
 from closedloop.studies.sweep import store
 from closedloop.studies.sweep.store import Job, Joined

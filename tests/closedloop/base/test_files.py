@@ -130,8 +130,7 @@ def test_nothing_is_written_but_whole():
         "validation/franka_sim.py",
         "validation/measured/cubes/engine.py",
         "validation/measured/judged.py",
-        "validation/speed/bodies.py",
-        "validation/speed/robots.py",
+        "validation/speed/scenes.py",
     }  # in a temporary folder, or where a user's own savefig says
     writing = re.compile(
         r"write_text\(|write_bytes\(|\bopen\([^)\n]*[\"'][wxa][b+]*[\"']|savefig\((?!image|file|picture)"

@@ -5,7 +5,7 @@ from lab_page import opened_page
 
 import closedloop as cl
 from closedloop.lab import mapping, server
-from validation.speed import in_browser
+from validation.speed import lab as in_browser
 
 
 @pytest.fixture(scope="module")

@@ -1,6 +1,6 @@
 """The lab's page in a browser: opened, waited for, read."""
 
-from validation.speed.in_browser import wait_until
+from validation.speed.lab import wait_until
 
 # How many colours the picture in space has.
 COLOURS = """() => {

@@ -16,8 +16,8 @@ from closedloop.figures.motion import tip_errors
 from closedloop.lab import mapping
 from closedloop.serve.session import Watch
 from closedloop.studies.analysis.stability import Stability
-from validation.speed import in_browser
-from validation.speed.in_browser import wait_until
+from validation.speed import lab as in_browser
+from validation.speed.lab import wait_until
 
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(bool(in_browser.why_not()), reason=in_browser.why_not())]
 

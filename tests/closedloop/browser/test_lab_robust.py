@@ -3,8 +3,8 @@
 import pytest
 from lab_page import COLOURS, opened_page, plotted, row, settled
 
-from validation.speed import in_browser
-from validation.speed.in_browser import wait_until
+from validation.speed import lab as in_browser
+from validation.speed.lab import wait_until
 
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(bool(in_browser.why_not()), reason=in_browser.why_not())]
 

@@ -11,8 +11,8 @@ from lab_page import opened_page, plotted, settled
 import closedloop as cl
 from closedloop.figures.scene.scene import scene_of
 from closedloop.lab.history import MOST_FRAMES
-from validation.speed import in_browser
-from validation.speed.in_browser import wait_until
+from validation.speed import lab as in_browser
+from validation.speed.lab import wait_until
 
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(bool(in_browser.why_not()), reason=in_browser.why_not())]
 

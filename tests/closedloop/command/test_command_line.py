@@ -14,7 +14,7 @@ import closedloop as cl
 from closedloop import figures
 from closedloop.record.report.verdict import CHATTER_SHARE, CLOSURE_BOUND, ENERGY_SHARE
 from closedloop.run import main
-from robot_models.shipped import path_of
+from robot_models.described import path_of
 
 ROOT = Path(cl.__file__).parent.parent
 PROMISED = {

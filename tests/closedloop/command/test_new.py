@@ -15,7 +15,7 @@ from closedloop.base.errors import ScenarioError, SimulationError
 from closedloop.command.first_slide import SPEEDS, _with_gains, first_slide
 from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.scenario.modes import unresolved_feedback
-from robot_models.shipped import path_of
+from robot_models.described import path_of
 
 ARMS = ("wam4", "pointmass3", "ur5", "ur10", "panda", "kinova", "talos_arm", "xarm7")
 

@@ -18,7 +18,7 @@ from closedloop.command.table import COMMANDS, overview
 from closedloop.control.law import LAWS, ControlLaw
 from closedloop.mechanics.loops import reactions
 from closedloop.scenario.load import toml_value
-from validation.loops.mechanisms import MECHANISMS
+from validation.loops.cases import MECHANISMS
 from validation.robot_check import checks
 
 ROOT = Path(cl.__file__).parent.parent

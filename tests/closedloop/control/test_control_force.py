@@ -20,8 +20,8 @@ from closedloop.control.laws.impedance import ImpedanceLaw
 from closedloop.control.laws.operational_space import OperationalSpaceLaw
 from closedloop.control.laws.paper import PaperLaw
 from closedloop.control.sensor import SensorSection
-from closedloop.control.stability import check_sampling, force_loop_settles
 from closedloop.jit.interpreted import interpreted
+from closedloop.simulation.time_step import check_sampling, force_loop_settles
 
 SECTIONS = (OperationalSpaceLaw, DynamicHybridLaw, ImpedanceLaw, AdmittanceLaw)
 JOINT_LAWS = (partial(PaperLaw, kp=400.0, kd=30.0), partial(HybridLaw, kp=400.0, kd=30.0))

@@ -5,8 +5,8 @@ import pytest
 from numpy.polynomial import Chebyshev
 
 import closedloop as cl
-from closedloop.control.reference.on_surface import Rolling
 from closedloop.control.reference.path import PATHS, path_on
+from closedloop.control.reference.tip_path import Rolling
 from closedloop.mechanics.surface.motion import MOTIONS
 from closedloop.mechanics.surface.placed import PlacedSurface
 from closedloop.mechanics.surface.surface import SURFACES

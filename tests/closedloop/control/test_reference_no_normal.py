@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 import closedloop as cl
-from closedloop.control.reference import on_surface
-from closedloop.control.reference.on_surface import refuse_without_normal
-from closedloop.control.reference.tip_path import Segment, TipPath
+from closedloop.control.reference import tip_path
+from closedloop.control.reference.tip_path import Segment, TipPath, refuse_without_normal
 from closedloop.mechanics.surface.motion import MOTIONS
 from closedloop.mechanics.surface.placed import PlacedSurface
 from closedloop.mechanics.surface.surface import SURFACES
@@ -61,7 +60,7 @@ def told(surface, tip, does):
 @pytest.fixture(autouse=True)
 def few_instants(monkeypatch):
     """Look at few instants first: each costs."""
-    monkeypatch.setattr(on_surface, "NORMAL_CHECKS", 20)
+    monkeypatch.setattr(tip_path, "NORMAL_CHECKS", 20)
 
 
 @pytest.mark.parametrize(

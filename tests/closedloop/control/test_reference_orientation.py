@@ -11,9 +11,8 @@ from scipy.spatial.transform import Rotation
 import closedloop as cl
 from closedloop.control.reference.desired import Follower
 from closedloop.control.reference.inverse_kinematics import _axis_rows, _frame_rows
-from closedloop.control.reference.on_surface import seams
 from closedloop.control.reference.path import turned_by
-from closedloop.control.reference.tip_path import Straight
+from closedloop.control.reference.tip_path import Straight, seams
 from closedloop.jit.interpreted import interpreted
 from closedloop.jit.kernel import plain
 from closedloop.loop.step.entries import desired_acceleration

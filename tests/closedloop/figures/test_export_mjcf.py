@@ -9,7 +9,7 @@ from closedloop.figures.scene.scene import quaternions, scene_of
 from closedloop.mechanics.closure.contact_force import FREE
 from closedloop.mechanics.loops.reactions import loop_rows
 from closedloop.mechanics.robot.pinocchio import Robot
-from validation.loops import mechanisms
+from validation.loops import cases
 from validation.loops.andrews import coasting
 
 BUMPS = [[0.002 * np.sin(0.7 * i) * np.cos(0.5 * j) for j in range(18)] for i in range(15)]
@@ -148,7 +148,7 @@ def test_a_point_and_a_ball_are_as_far_from_their_planes_as_in_the_run(tmp_path)
         assert gap == pytest.approx((0.4, 0.47)[k], abs=1e-8)
 
 
-@pytest.mark.parametrize("mechanism", [mechanisms.distance, mechanisms.gears])
+@pytest.mark.parametrize("mechanism", [cases.distance, cases.gears])
 def test_rods_and_gears_are_held_too(mechanism, tmp_path):
     """A distance is a tendon of that length, a gear a joint's equality with its polynomial."""
     run = coasted(mechanism())
@@ -157,7 +157,7 @@ def test_rods_and_gears_are_held_too(mechanism, tmp_path):
 
 def test_a_loop_joint_without_an_equality_is_refused_in_one_line(tmp_path, capsys):
     """MuJoCo has none for a slider: it would be a tree whose loop is open."""
-    run = coasted(mechanisms.slider_crank())
+    run = coasted(cases.slider_crank())
     assert main(["export", str(run.save(tmp_path / "run.nc")), "--to", "mjcf"]) == 2
     err = capsys.readouterr().err
     assert len(err.splitlines()) == 1

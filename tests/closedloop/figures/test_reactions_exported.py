@@ -7,7 +7,7 @@ import pytest
 import closedloop as cl
 from closedloop.figures.export.files import write_csv, write_mcap
 from closedloop.mechanics.loops.reactions import parts_of
-from validation.loops import mechanisms
+from validation.loops import cases
 from validation.loops.andrews import coasting
 
 
@@ -39,7 +39,7 @@ def test_mcap_has_the_reactions_of_loop_joints(run, tmp_path):
 def test_each_loop_joint_has_its_own_topic(tmp_path):
     """Of a mechanism with two pins each wrench is that of its own columns, after those of the pin before."""
     reader = pytest.importorskip("mcap_ros2.reader")
-    model = mechanisms.doubled_four_bar()
+    model = cases.doubled_four_bar()
     scenario = coasting(model, list(model.home), [0.0] * model.n, 0.01, 0.001)
     run = cl.simulate(scenario.replace({"external_force": [{"force": [10.0, 5.0, 3.0]}]}), model=model)
     assert np.min(np.ptp(run.loops.reactions.reshape(len(run), 2, 6)[:, :, :3], axis=2)) > 0.1

@@ -18,7 +18,7 @@ from closedloop.loop.events.transitions import collide
 from closedloop.loop.step.contacts import contacts_in_step
 from closedloop.mechanics.loops.reactions import rows_along
 from closedloop.simulation.engines.lanes import run_in_lanes
-from closedloop.simulation.engines.proceed import proceed_at
+from closedloop.simulation.engines.loops import proceed_at
 
 ROOT = Path(cl.__file__).parent.parent
 # In place of the compiler: say who it is, and stay until it is told to go.

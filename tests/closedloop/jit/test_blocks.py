@@ -6,7 +6,7 @@ import numba
 import numpy as np
 import pytest
 
-from closedloop.control.reference.table import Reference
+from closedloop.control.reference.desired import Reference
 from closedloop.jit.blocks import Count, Layout
 from closedloop.jit.kernel import entry_kernel, kernel
 from closedloop.loop.step.memory import Constants, State, Work

@@ -23,7 +23,7 @@ from closedloop.lab.server import LONG, Newest
 from closedloop.lab.start import act, begun
 from closedloop.plugins import Annotated, ControlLaw, Field, Positive, gain_in
 from closedloop.scenario.load import Variants, parse_scenario, split_overrides
-from closedloop.simulation.cache import Cache
+from closedloop.simulation.parts import Cache
 from closedloop.simulation.prepare import prepare
 
 SECTIONS = [section for tab in TABS.values() for section in tab]

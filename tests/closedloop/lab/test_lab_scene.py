@@ -23,7 +23,7 @@ from closedloop.loop.events.table import EVENT_COLUMNS
 from closedloop.mechanics.closure.contact_force import FREE
 from closedloop.mechanics.loops.reactions import loop_rows
 from closedloop.mechanics.robot.pinocchio import Robot
-from validation.loops import mechanisms
+from validation.loops import cases
 
 SHIPPED = cl.shipped_scenarios()
 QUICK = ("wam_slide", "planar2_drop")
@@ -189,7 +189,7 @@ def test_the_drawn_forces_between_links_are_the_torques_that_are_missing(name):
     assert missing == pytest.approx(0.0, abs=1e-9)
 
 
-@pytest.mark.parametrize("mechanism", [mechanisms.distance, mechanisms.slider_crank, mechanisms.gears])
+@pytest.mark.parametrize("mechanism", [cases.distance, cases.slider_crank, cases.gears])
 def test_every_kind_of_loop_joint_has_a_mark_where_it_is(mechanism):
     """A rod reaches from one point to the other, a slider's mark lies along its axis, a gear's at its first joint."""
     model = mechanism()

@@ -5,6 +5,7 @@ import pytest
 from random_loop import loop_at_random
 from scipy.optimize import brentq
 
+import closedloop as cl
 from closedloop.jit.interpreted import interpreted
 from closedloop.loop.events.locate import (
     AFTER_EVENT,
@@ -24,7 +25,7 @@ from closedloop.loop.events.transitions import apply_event, apply_impact, end_st
 from closedloop.mechanics.closure.contact_force import FREE, PRESSED, STUCK
 from closedloop.mechanics.closure.solve import CHATTER, CROWDED, RUBS
 from closedloop.mechanics.limits import INSTANT, MAX_IN_STEP, REFINEMENTS
-from closedloop.simulation.engines.failures import _rubs_without_end
+from closedloop.simulation.engines.failures import failure_of
 
 RUBBING = {
     "friction.kind": "dahl", "friction.coefficient": 0.4, "friction.stiffness": 3e3, "joint_friction.kind": "dahl",
@@ -287,7 +288,10 @@ def test_events_without_end_stop_the_run_and_are_told_apart():
             state.event.kind, state.event.rapid, state.event.in_step, state.status = kind, rapid, events, 0
             assert interpreted(too_many_events)(state, most) == (told != 0)
             assert state.status == told
-    alternating, crowded = (_rubs_without_end(status, 0.25) for status in (RUBS, CROWDED))
+    problem = cl.prepare(cl.load_scenario("wam_bounce"))
+    alternating, crowded = (
+        failure_of(status, 0.25, problem.robot, problem, None, problem.q, problem.v) for status in (RUBS, CROWDED)
+    )
     assert "stick and slip alternate" in str(alternating)
     assert f"more than {MAX_IN_STEP} times" in str(crowded)
     assert all("torque presses" not in str(error) and error.time == 0.25 for error in (alternating, crowded))

@@ -9,7 +9,7 @@ import robot_models
 from closedloop.mechanics.closure.contact_force import FREE, PRESSED, STUCK
 from closedloop.record.columns.touching import Touching, contact_torques
 from closedloop.scenario.arm import robot_of
-from validation.loops.mechanisms import joint, point
+from validation.loops.cases import joint, point
 
 FAR = {"kind": "plane", "offset": "start", "gap": 50.0, "contact": "unilateral"}
 

@@ -7,10 +7,10 @@ import pytest
 
 import closedloop as cl
 import robot_models
-from closedloop.simulation.all_entries import with_all_entries
+from closedloop.scenario.arm import with_all_entries
 from closedloop.simulation.prepare import prepare
 from robot_models import ModelError, loop_coordinate
-from validation.loops.mechanisms import MECHANISMS, bar, joint, loop, point
+from validation.loops.cases import MECHANISMS, bar, joint, loop, point
 
 Y = [0, 1, 0]
 HINGE = {"axis": Y}

@@ -8,7 +8,7 @@ from closedloop.loop.step.closed_loops import find_required_on_the_way
 from closedloop.mechanics.loops.bind import loop_memory
 from closedloop.mechanics.loops.solve import close_state, leave_free
 from closedloop.mechanics.robot.pinocchio import Robot
-from validation.loops.mechanisms import bar, joint, loop, mechanism, point
+from validation.loops.cases import bar, joint, loop, mechanism, point
 
 CRANK, BASE, ROCKER = 0.2, 0.3, 0.4
 COUPLER = BASE + ROCKER - CRANK

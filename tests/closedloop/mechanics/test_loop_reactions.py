@@ -8,7 +8,7 @@ import closedloop as cl
 import robot_models
 from closedloop.mechanics.loops.reactions import labels_of, loop_rows, share_of_rows
 from closedloop.mechanics.robot.pinocchio import Robot
-from validation.loops.mechanisms import MECHANISMS, joint, loop, point
+from validation.loops.cases import MECHANISMS, joint, loop, point
 
 MASS, CENTRE = 2.0, np.array([0.3, -0.2, 0.1])
 INERTIA = '<inertia ixx="0.1" iyy="0.2" izz="0.15" ixy="0" ixz="0" iyz="0"/>'

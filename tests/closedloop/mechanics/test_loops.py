@@ -13,7 +13,7 @@ from closedloop.mechanics.loops.assemble import closed_start
 from closedloop.mechanics.loops.reactions import loop_reactions
 from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.record.report.tables import report_rows
-from validation.loops.mechanisms import MECHANISMS, bar, change_point, joint, loop, mechanism, point
+from validation.loops.cases import MECHANISMS, bar, change_point, joint, loop, mechanism, point
 from validation.oracle.closure import LoopJoint, loop_rows
 from validation.oracle.kinematics import forward_kinematics
 from validation.oracle.tree import read_urdf

@@ -17,7 +17,7 @@ from closedloop.mechanics.loops.memory import IDLE, POSITION
 from closedloop.mechanics.loops.reactions import loop_rows as rows_of_loops
 from closedloop.mechanics.loops.rows import locate_rows
 from closedloop.mechanics.robot.pinocchio import Robot
-from validation.loops.mechanisms import four_bar, loop
+from validation.loops.cases import four_bar, loop
 
 MJCF = """<mujoco><compiler angle="radian"/><worldbody>
 <body name="crank"><joint name="J1" axis="0 -1 0"/><inertial pos="0.1 0 0" mass="1" diaginertia="0.001 0.0033 0.0033"/>

@@ -61,7 +61,7 @@ def test_energies_of_many_rows_are_the_same_interpreted_and_compiled():
 SAMPLE = """
 import numpy as np, robot_models
 from closedloop.mechanics.robot.tree import tree_of, tree_potential_energy, tree_terms, work_size
-from validation.random_trees import random_robot
+from validation.states import random_robot
 drawn = random_robot(3)
 model = robot_models.from_text(drawn.text, "urdf", name="x", armature=drawn.armature, tip="tip", home=drawn.home,
                                locked={}, gravity=drawn.gravity)

@@ -17,7 +17,7 @@ import xarray
 
 import closedloop as cl
 from closedloop.record.columns.record import COLUMNS
-from robot_models.shipped import path_of
+from robot_models.described import path_of
 
 
 @pytest.fixture(scope="module")

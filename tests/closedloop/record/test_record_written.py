@@ -6,8 +6,8 @@ import tomli_w
 
 import closedloop as cl
 from closedloop.scenario.load import parse_scenario
-from closedloop.simulation.engines.adaptive.memory import Memory
-from closedloop.simulation.stepper import Stepper
+from closedloop.simulation.engines.adaptive_parts import Memory
+from closedloop.simulation.loop_calls import Stepper
 
 ROWS = 6
 DRIVES = {"drives.torque_limit": 80.0}

@@ -14,7 +14,7 @@ from closedloop.loop.step.record_row import Row
 from closedloop.scenario.load import Variants, parse_scenario
 from closedloop.scenario.messages import all_keys, describe_section, explain_key, keys, sections
 from closedloop.simulation.time_step import MOST_NUMBERS
-from robot_models.shipped import path_of
+from robot_models.described import path_of
 
 MINIMAL = "[law]\nkp = 1\nkd = 1\n"
 MOST_ROWS = str(MOST_NUMBERS // Row.count(4))

@@ -9,7 +9,7 @@ import closedloop as cl
 from closedloop.base.errors import faults_on_one_line, lines_of
 from closedloop.scenario.load import parse_scenario, scenario_of
 from closedloop.scenario.messages import MOST_FAULTS
-from robot_models.shipped import path_of
+from robot_models.described import path_of
 
 PAGE = Path(__file__).resolve().parents[3] / "docs" / "scenarios.md"
 MINIMAL = "[law]\nkp = 1\nkd = 1\n"

@@ -7,7 +7,7 @@ from scipy.optimize import brentq
 from scipy.special import ellipj
 
 import closedloop as cl
-from closedloop.simulation.engines.adaptive.memory import Memory
+from closedloop.simulation.engines.adaptive_parts import Memory
 from robot_models import load
 
 G = 9.81

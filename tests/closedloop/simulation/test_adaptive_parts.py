@@ -5,7 +5,7 @@ import pytest
 from rounding import within
 
 import closedloop as cl
-from closedloop.simulation.engines.adaptive.smooth import first_crossing, interval_from, jumps, root
+from closedloop.simulation.engines.adaptive_parts import first_crossing, interval_from, jumps, root
 
 
 def wanted(name, **changes):

@@ -13,7 +13,7 @@ from closedloop.record.report.verdict import names_of
 from closedloop.scenario.load import Variants
 from closedloop.scenario.messages import key_unit
 from closedloop.simulation.batch import worker as worker_module
-from closedloop.simulation.cache import Cache
+from closedloop.simulation.parts import Cache
 from closedloop.simulation.prepare import prepare
 
 # What adds up is added in another order than numpy's: 8000 terms of like size, each rounded.

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import closedloop as cl
-from closedloop.control.reference.table import Reference
+from closedloop.control.reference.desired import Reference
 from closedloop.loop.events import locate
 from closedloop.loop.events.locate import REACH_EVENT
 from closedloop.loop.step.record_row import Row

@@ -18,9 +18,8 @@ from closedloop.jit.interpreted import interpreted
 from closedloop.loop.events.transitions import collide
 from closedloop.loop.step.record_row import complete_record
 from closedloop.record.report.measures import measure_rows
-from closedloop.simulation.cache import _kept
-from closedloop.simulation.engines.loops import COMPILED, ENGINES, PINOCCHIO, loop_for
-from closedloop.simulation.engines.proceed import proceed_at
+from closedloop.simulation.engines.loops import COMPILED, ENGINES, PINOCCHIO, loop_for, proceed_at
+from closedloop.simulation.parts import _kept
 from closedloop.simulation.prepare import prepare
 
 SHORT = {"time.duration": 0.06}

@@ -84,9 +84,9 @@ def lane_counts(monkeypatch):
     """Return a list of how many lanes were used each time."""
     counts, run = [], LaneRuns.run
 
-    def counted(self, tree, count):
+    def counted(self, count):
         counts.append(count)
-        return run(self, tree, count)
+        return run(self, count)
 
     monkeypatch.setattr(LaneRuns, "run", counted)
     return counts
@@ -192,7 +192,7 @@ def test_branches_exclude_lanes(name, changes):
 def test_few_runs_go_alone(monkeypatch):
     """Two runs take as long by themselves as eight in lanes; from three on lanes are used, however short the runs."""
     asked = []
-    monkeypatch.setattr(LaneRuns, "run", lambda self, tree, count: asked.append(count))  # None: they have to go alone
+    monkeypatch.setattr(LaneRuns, "run", lambda self, count: asked.append(count))  # None: they have to go alone
     scenario, model = cl.load_scenario("wam_slide", overrides={"time.duration": 0.01}), load("wam4")
     for runs, expected in ((FEWEST - 1, []), (FEWEST, [FEWEST])):
         assert {outcome.status for outcome in Worker(model=model, runs=runs).run_all([scenario] * runs)} == {"done"}

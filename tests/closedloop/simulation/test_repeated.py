@@ -15,9 +15,8 @@ import robot_models
 from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.scenario.load import shipped_scenarios
 from closedloop.simulation import prepare as prepare_module
-from closedloop.simulation.cache import Cache
 from closedloop.simulation.loop_calls import Driver
-from closedloop.simulation.parts import Parts
+from closedloop.simulation.parts import Cache, Parts
 from closedloop.simulation.simulate import run_loop
 
 # A soft and rough surface, a sampled law and a sensor with noise; see `closedloop.gym.terms`.

@@ -12,8 +12,8 @@ from scipy.linalg import expm
 import closedloop as cl
 from closedloop.loop.events.table import EventRow
 from closedloop.mechanics.closure.contact_force import FREE, PRESSED, STUCK
-from closedloop.simulation.cache import Cache
 from closedloop.simulation.engines.dual_loop import prepared
+from closedloop.simulation.parts import Cache
 from closedloop.simulation.prepare import prepare
 from closedloop.studies.gradient import differences, exact
 from closedloop.studies.gradient.differences import SHARE, Keys, output

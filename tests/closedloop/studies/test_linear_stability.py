@@ -9,7 +9,7 @@ from linear_loops import DAMPING, MASS, STIFFNESS, mass_on_a_spring
 
 import closedloop as cl
 from closedloop.mechanics.loops.assemble import errors_at
-from closedloop.simulation.cache import Cache
+from closedloop.simulation.parts import Cache
 from closedloop.studies.analysis import stability
 from closedloop.studies.analysis.here import Here
 from closedloop.studies.analysis.linear_loop import margins_of

@@ -5,8 +5,8 @@ from linear_loops import mass_on_a_spring
 
 import closedloop as cl
 from closedloop.simulation.engines.loops import PINOCCHIO
+from closedloop.simulation.loop_calls import Stepper
 from closedloop.simulation.prepare import prepare
-from closedloop.simulation.stepper import Stepper
 from closedloop.studies.analysis.here import contacts_of
 
 

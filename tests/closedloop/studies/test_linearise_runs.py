@@ -9,7 +9,7 @@ from budget import every
 from linear_loops import mass_on_a_spring
 
 import closedloop as cl
-from closedloop.control.reference.table import Reference
+from closedloop.control.reference.desired import Reference
 from closedloop.loop.step.record_row import ContactRow, Row
 from closedloop.scenario.tables import names_of
 from closedloop.simulation.prepare import prepare

@@ -15,12 +15,9 @@ from closedloop.base.errors import OutputError
 from closedloop.base.files import what_was_written, write_whole
 from closedloop.command.border import Parser, as_command
 from closedloop.command.serve import wait_for
-from validation.measured.cubes.comparing import FITTED, engines, fit, fits, fitted, held_out, training, tried
-from validation.measured.cubes.engine import ClosedLoopCube
+from validation.measured.cubes import comparing
+from validation.measured.cubes.engine import ClosedLoopCube, Toss, first_row, mean_errors, read
 from validation.measured.cubes.figures import film, opened, toss_of
-from validation.measured.cubes.flight import geometry_lines
-from validation.measured.cubes.impacts import impact_lines
-from validation.measured.cubes.tosses import Toss, first_row, mean_errors, read
 
 LAWS = ("newton", "poisson", "stronge")
 
@@ -28,7 +25,7 @@ LAWS = ("newton", "poisson", "stronge")
 @as_command("validation.measured.cubes", stopped=())
 def main(words: list[str]) -> int:
     """Run the command line and return the exit status."""
-    names = [engine.name for engine in engines()]
+    names = [engine.name for engine in comparing.engines()]
     parser = Parser(prog="python -m validation.measured.cubes", description="Fit engines to tosses, and draw them.")
     parser.add_argument(
         "--fit", nargs="*", metavar="ENGINE", choices=names, help=f"fit these, or all installed: {', '.join(names)}"
@@ -55,9 +52,9 @@ def main(words: list[str]) -> int:
     if options.laws:
         _laws()
     if options.impacts:
-        print("\n".join(impact_lines(read())))
+        print("\n".join(comparing.impact_lines(read())))
     if options.geometry:
-        print("\n".join(geometry_lines(read())))
+        print("\n".join(comparing.geometry_lines(read())))
     if options.figures is not None:
         _figures(Path(options.figures))
     if options.film is not None:
@@ -77,19 +74,19 @@ def _toss(parser: Parser, option: str, number: str) -> Toss:
 
 def _fit(names: Sequence[str]) -> None:
     """Fit engines, and write their values where `validation.measured cubes` reads them."""
-    written = fits() if FITTED.exists() else {}
-    for engine in (each for each in engines() if each.name in names):
-        found = fit(engine, training(read()), told=print)
+    written = comparing.fits() if comparing.FITTED.exists() else {}
+    for engine in (each for each in comparing.engines() if each.name in names):
+        found = comparing.fit(engine, comparing.training(read()), told=print)
         values = {p.name: x for p, x in zip(engine.parameters, found.values, strict=True)}
         written[engine.name] = {"values": values, "cost": found.cost, "simulations": found.simulations}
-    write_whole(str(FITTED), f"{json.dumps(written, indent=2)}\n".encode())
+    write_whole(str(comparing.FITTED), f"{json.dumps(written, indent=2)}\n".encode())
 
 
 def _laws() -> None:
     """Print the mean errors of each law of restitution, and without friction or restitution, all else as fitted."""
     shipped = read()
-    tosses = held_out(shipped, shipped)
-    values = fitted(ClosedLoopCube())
+    tosses = comparing.held_out(shipped, shipped)
+    values = comparing.fitted(ClosedLoopCube())
     starts = [first_row(toss) for toss in tosses]
     cases = [(law, law, values) for law in LAWS]
     cases += [("without restitution", "newton", [values[0], 0.0, *values[2:]])]
@@ -105,8 +102,8 @@ def _figures(folder: Path) -> None:
     if not folder.is_dir():
         raise OutputError(f"--figures {folder}: is no folder: name one that exists")
     shipped = read()
-    tosses = held_out(shipped, shipped)
-    results = {engine.name: tried(engine, tosses) for engine in engines()}
+    tosses = comparing.held_out(shipped, shipped)
+    results = {engine.name: comparing.tried(engine, tosses) for engine in comparing.engines()}
     drawn = {
         "cube_errors": errors_over_time(tosses, results),
         "cube_tosses": best_and_worst(tosses, results["closedloop"]),

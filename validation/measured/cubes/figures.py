@@ -22,8 +22,7 @@ from closedloop.lab.curves import Panel, Trace
 from closedloop.lab.history import share
 from closedloop.record.run import Run
 from validation.measured.cubes.comparing import Tried, fitted
-from validation.measured.cubes.engine import STEPS, ClosedLoopCube
-from validation.measured.cubes.tosses import RATE, SIDE, Toss, errors, first_row
+from validation.measured.cubes.engine import RATE, SIDE, STEPS, ClosedLoopCube, Toss, errors, first_row
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -11,8 +11,7 @@ from closedloop.base.errors import OutputError
 from closedloop.base.files import what_was_written, write_whole
 from closedloop.command.border import Parser, as_command
 from validation.measured.pressing.judging import OURS, engines, fits_of, swing_pole
-from validation.measured.pressing.machine import scenario
-from validation.measured.pressing.touchdowns import read
+from validation.measured.pressing.machine import read, scenario
 
 
 @as_command("validation.measured.pressing", stopped=())

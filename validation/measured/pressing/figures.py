@@ -11,7 +11,7 @@ import numpy as np
 from closedloop.base.arrays import Array
 from closedloop.figures.style import COLOURS, STROKES, new_figure, styled
 from validation.measured.pressing.judging import measured_figures
-from validation.measured.pressing.touchdowns import Touchdown
+from validation.measured.pressing.machine import Touchdown
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -24,9 +24,21 @@ from closedloop.base.arrays import Array
 from closedloop.base.errors import ClosedLoopError, ModelError
 from closedloop.base.files import reason_of, write_whole
 from validation.measured.judged import WORSE, Judged, number_or_none, paired
-from validation.measured.pressing.machine import CYCLE, ClosedLoopArm, MuJoCoArm, Parameter, scenario
-from validation.measured.pressing.touchdowns import LOST as LOST_BELOW
-from validation.measured.pressing.touchdowns import SMOOTH, STEP, Figures, Touchdown, figures, read, smoothed
+from validation.measured.pressing.machine import (
+    CYCLE,
+    SMOOTH,
+    STEP,
+    ClosedLoopArm,
+    Figures,
+    MuJoCoArm,
+    Parameter,
+    Touchdown,
+    figures,
+    read,
+    scenario,
+    smoothed,
+)
+from validation.measured.pressing.machine import LOST as LOST_BELOW
 
 # A test counts in the fit by its place in this list; files with other tests are predicted.
 TRAINING = (

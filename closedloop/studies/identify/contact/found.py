@@ -47,7 +47,7 @@ from closedloop.studies.identify.identify import WHITENESS_LEVEL, Estimate
 from closedloop.studies.identify.log import Log, LogError
 from closedloop.studies.identify.motion import Motion, white_noise
 from closedloop.studies.identify.regressor import NOISY
-from robot_models.tool import carried_by
+from robot_models.model import carried_by
 
 # A force above this share of its range is surely of a contact; it counts as one above the other, or this many noises.
 SURELY, LEAST, NOISES = 0.5, 0.02, 5.0

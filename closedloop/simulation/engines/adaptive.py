@@ -1,4 +1,10 @@
-"""Intervals, steps, events and rows of a run by scipy's DOP853, and slow slip in it.
+"""The adaptive integrator of high order: the reference for integrators of fixed step.
+
+scipy's DOP853 integrates each interval on which the right-hand side is smooth, with steps chosen by `time.tolerance`.
+Law, contact and Eq. 24 are those of `closedloop.loop.step.evaluate`. Inside a step the state is the solver's dense
+output: events are located on it, and rows are taken from it, with force and acceleration evaluated again at the row's
+state. Events are applied by `closedloop.loop.events`, as though they were at a row; so is the projection, where the
+scenario has one, at every step and every row.
 
 In slow slip dry friction makes the equation of motion stiff. Dry friction μ|f| against a slip u turns the direction of
 u at the rate
@@ -40,8 +46,7 @@ from closedloop.mechanics.closure.contact_force import FREE, PRESSED
 from closedloop.mechanics.closure.solve import OK
 from closedloop.mechanics.contacts.friction import stops_slipping
 from closedloop.mechanics.limits import BREAKING_AWAY, CLOSED_GAP, INSTANT, OUTPACED, STICK_SPEED
-from closedloop.simulation.engines.adaptive.memory import Memory, Stopped
-from closedloop.simulation.engines.adaptive.smooth import Interval, first_crossing, interval_from, jumps
+from closedloop.simulation.engines.adaptive_parts import Interval, Memory, Stopped, first_crossing, interval_from, jumps
 from closedloop.simulation.engines.failures import failure_of, interrupted, when
 from closedloop.simulation.engines.problem import Problem
 from closedloop.simulation.engines.user_law import Law
@@ -108,13 +113,6 @@ def choose_scheme(sliding: list[Slip], before: int) -> int:
         if ease * slip.turning > STIFF_RATE * slip.speed and ease * SLOW_CHANGE * slip.turning > slip.gaining:
             return IMPLICIT
     return EXPLICIT
-
-
-def tolerance_for(sliding: list[Slip], scheme: int, tolerance: float) -> float:
-    """Return the relative tolerance of a step: that of the scenario, or less where slip is slow."""
-    if scheme == EXPLICIT:
-        return tolerance
-    return min([tolerance, *(DIRECTION_ERROR * max(SETTLED, slip.speed) for slip in sliding if not slip.rises)])
 
 
 def jacobian(rate: Rate, t: float, y: Array, w: Work, state: State) -> Array:
@@ -293,9 +291,10 @@ class AdaptiveRun:
         return solver
 
     def set_tolerance(self, solver: Any) -> None:
-        """Set the tolerances of the solver."""
+        """Set the tolerances of the solver: those of the scenario, or less where slip is slow."""
+        slow = [] if self.scheme == EXPLICIT else [max(SETTLED, slip.speed) for slip in self.sliding if not slip.rises]
         # Set here, because scipy would take no relative tolerance below 2e-14.
-        solver.rtol = tolerance_for(self.sliding, self.scheme, self.tolerance)
+        solver.rtol = min([self.tolerance, *(DIRECTION_ERROR * speed for speed in slow)])
         solver.atol = np.full(self.y.size, ABSOLUTE * solver.rtol)
         solver.atol[-1] = np.inf  # the energy supplied does not choose the steps
 

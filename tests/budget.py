@@ -28,5 +28,14 @@ def seeds(quick: int, usual: int) -> list[Any]:
 
 
 def every(step: int, cases: Iterable[tuple[Any, ...]]) -> list[Any]:
-    """Return cases as parameters of a test: each `step`-th for the quick suite, the others for the slow."""
-    return [pytest.param(*case, marks=pytest.mark.slow if k % step else ()) for k, case in enumerate(cases)]
+    """Return cases as parameters of a test: each `step`-th, and with the full budget the others, in the slow suite."""
+    every = enumerate(cases)
+    return [
+        pytest.param(*case, marks=pytest.mark.slow if k % step else ()) for k, case in every if FULL or not k % step
+    ]
+
+
+def others(cases: Iterable[Any]) -> list[Any]:
+    """Return cases, each a value or a tuple, as parameters of a test for the slow suite: a third of them, or all."""
+    some = list(cases)[:: budget(3, 1)]
+    return [pytest.param(*(case if isinstance(case, tuple) else (case,)), marks=pytest.mark.slow) for case in some]

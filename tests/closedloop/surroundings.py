@@ -2,7 +2,7 @@
 
 A case is a shell's line, run in a folder of its own. `{run}`, `{sweep}`, `{study}` and `{validation}` are the commands,
 SHORT a run of ten steps at rest: a path would take longer than they do. The kernels are interpreted. Cases that stand
-for their kind belong to the quick suite, those in which another case goes the same way to the full budget (`budget`).
+for their kind belong to the quick suite.
 """
 
 import sys
@@ -10,8 +10,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from itertools import zip_longest
 from pathlib import Path
-
-from budget import FULL
 
 import closedloop as cl
 
@@ -28,7 +26,6 @@ SWEPT = (
     "{sweep} planar2_slide --reference.kind hold --time.duration 0.01 --over law.force=1:2:2 --engine pinocchio "
     "--out r/t.parquet"
 )
-COMPARED = "{validation} --robot planar2 --states 1 --quick"
 # A process that root's right to pass over permissions has been taken from.
 UNPRIVILEGED = "setpriv --inh-caps=-all --bounding-set=-dac_override,-dac_read_search"
 NO_SPACE = "standard output: cannot be written: No space left on device"
@@ -54,8 +51,8 @@ class Case:
         What the shell does before.
     check : callable
         Of the folder and the standard output.
-    quick, rare : bool
-        Part of the quick suite; of the full budget only.
+    quick : bool
+        Part of the quick suite.
     """
 
     name: str
@@ -67,7 +64,6 @@ class Case:
     before: str = ":"
     check: Callable[[Path, str], None] = lambda folder, out: None
     quick: bool = False
-    rare: bool = False
 
 
 def saved(folder, out):
@@ -102,31 +98,20 @@ def one_of_ours(text):
 ENCODINGS = [
     Case("C locale, help", "{run} --help stabiliser", env=C_LOCALE, quick=True),
     Case("C locale, run", SHORT, env=C_LOCALE, check=saved),
-    Case("C locale, comparison", COMPARED, env=C_LOCALE),
-    *(
-        Case(f"{coding}, {kind}", line, env={"PYTHONIOENCODING": coding}, check=check, rare=kind == "run")
-        for coding in ("cp1252", "ascii", "utf-16")
-        for kind, line, check in (("help", "{run} --help", lambda folder, out: None), ("run", SHORT, saved))
-    ),
+    Case("utf-16, help", "{run} --help", env={"PYTHONIOENCODING": "utf-16"}),
     Case("refusal in ascii", "{run} wam_slide --law.force ζ", env={"PYTHONIOENCODING": "ascii"}, status=2,
          says=one_of_ours(r"wam_slide: law.force = '\\u03b6': .*")),
     Case("bytes that are no text", "{run} $(printf 'a\\377b')", status=2, says=one_of_ours("no scenario named.*")),
     Case("Greek file in the C locale", "{run} μ.toml", env=C_LOCALE, status=2, says=one_of_ours(".*No such file.*")),
     Case("Greek folder in the C locale", SHORT.replace("--out r", "--out μ"), env=C_LOCALE),
-    Case("locale nosuch", SHORT, env={"LC_ALL": "nosuch", "LANG": "nosuch"}, check=saved, rare=True),
 ]  # fmt: skip
 OUTPUTS = [
     Case("| true", "{run} --list", "| true", quick=True),
-    Case("help | head -c 1", "{run} --help", "| head -c 1", rare=True),
     Case("json | head -1", f"{SHORT} --json", "| head -1", check=saved),
-    Case("sweep | true", SWEPT, "| true", rare=True),
-    Case("validation help | head -1", "{validation} --help", "| head -1", rare=True),
-    Case("comparison | true", COMPARED, "| true", rare=True),
     Case("list to a full device", "{run} --list", ">/dev/full", status=2, says=one_of_ours(NO_SPACE), quick=True),
     Case("run to a full device", SHORT, ">/dev/full", status=2, says=one_of_ours(NO_SPACE), check=saved),
     Case("sweep to a full device", SWEPT, ">/dev/full", status=2, says=one_of_ours(NO_SPACE)),
     Case("output closed", SHORT, ">&-", check=saved),
-    Case("input closed", SHORT, "<&-", check=saved, rare=True),
 ]  # fmt: skip
 FOLDERS = [
     Case("folder deleted, list", "{run} --list", before=GONE),
@@ -134,29 +119,12 @@ FOLDERS = [
     Case("folder deleted, out elsewhere, no such backend", DRAWN.replace("--out r", '--out "$OLDPWD/r"'), before=GONE,
          env={"MPLBACKEND": "nosuch"}, check=drawn),
     Case("folder deleted, law", f"{SHORT} --law mine:f", before=GONE, status=2, says=one_of_ours(".*no module.*")),
-    Case("folder deleted, sweep", SWEPT, before=GONE, status=2, says=one_of_ours("--out .*cannot be written.*"),
-         rare=True),
-    Case("folder deleted, study", "{study} drift", before=GONE, status=2, says=one_of_ours("--out .*be written.*"),
-         rare=True),
-    Case("folder deleted, validation", "{validation} --robot no", before=GONE, status=2, says=one_of_ours(".*no.*")),
-    Case("no home", SHORT, env={"HOME": "/proc/nowhere", "MPLCONFIGDIR": None}, check=saved, rare=True),
-    Case("home not set", DRAWN, env={"HOME": None, "MPLCONFIGDIR": None}, check=drawn, rare=True),
-    Case("home a file", DRAWN, env={"HOME": "/dev/null", "MPLCONFIGDIR": None}, check=drawn, rare=True),
-    Case("no temporary folder", SHORT, env={"TMPDIR": "/proc/nowhere"}, check=saved, rare=True),
-    Case("no folder for caches", DRAWN, env={"XDG_CACHE_HOME": "/dev/null", "XDG_CONFIG_HOME": "/dev/null"},
-         check=drawn, rare=True),
+    Case("folder deleted, study", "{study} drift", before=GONE, status=2, says=one_of_ours("--out .*be written.*")),
     Case("folder read-only", f"{UNPRIVILEGED} {SHORT}", before="chmod 500 .", status=2,
          says=one_of_ours("--out 'r': cannot be written: Permission denied.*")),
-    Case("umask 777", f"{UNPRIVILEGED} {SHORT}", before="umask 777", status=2,
-         says=one_of_ours("--out 'r': cannot be written: Permission denied.*")),
-    Case("sweep, folder read-only", f"{UNPRIVILEGED} {SWEPT}", before="chmod 500 .", status=2,
-         says=one_of_ours("--out .*Permission denied.*"), rare=True),
     Case("modules of the same name here", SHORT, before=f"{PLANT}; {PLANT_FOLDERS}", check=saved, quick=True),
     Case("modules of the same name, law", f"{SHORT} --law mine:f --json", before=f"{PLANT}; {PLANT_FOLDERS}; {LAW}",
          check=saved),
-    Case("modules of the same name, sweep", SWEPT, before=f"{PLANT}; {PLANT_FOLDERS}"),
-    Case("modules of the same name, study", "{study} --help", before=f"{PLANT}; {PLANT_FOLDERS}", rare=True),
-    Case("modules of the same name, validation", "{validation} --help", before=f"{PLANT}; {PLANT_FOLDERS}"),
 ]  # fmt: skip
 # Variables of which none undoes another share a process, which takes longer to start than to run.
 TERMINALS: list[dict[str, str | None]] = [
@@ -175,12 +143,11 @@ OTHERS: list[dict[str, str | None]] = [
     {"LC_NUMERIC": "de_DE.UTF-8", "NUMBA_CACHE_DIR": "relative", "PATH": ""},
     {"NUMBA_CACHE_DIR": "", "NUMBA_NUM_THREADS": "1", "USER": None, "LOGNAME": None},
 ]
-PLACES: list[dict[str, str | None]] = [  # those of texts and files; by themselves, above, with the full budget
+PLACES: list[dict[str, str | None]] = [  # those of texts and files
     {"HOME": "/proc/nowhere", "MPLCONFIGDIR": None}, {"TMPDIR": "/proc/nowhere", "PYTHONIOENCODING": "cp1252"},
     {"PYTHONIOENCODING": "ascii"}, {"PYTHONIOENCODING": "utf-16"}, {"LC_ALL": "nosuch", "LANG": "nosuch"},
 ]  # fmt: skip
 VARIABLES = [
-    Case("no such backend", DRAWN, env={"MPLBACKEND": "nosuch"}, check=drawn, rare=True),
     Case("settings of matplotlib here, no folder for it, a backend without a screen, warnings are errors", DRAWN,
          before="echo 'backend: nosuch' >matplotlibrc", check=drawn,
          env={"MPLBACKEND": "TkAgg", "DISPLAY": None, "PYTHONWARNINGS": "error", "MPLCONFIGDIR": "/proc/nowhere"}),
@@ -193,9 +160,6 @@ VARIABLES = [
          check=helpful),
     Case("sweep without docstrings, C locale, warnings are errors", SWEPT,
          env={**C_LOCALE, "PYTHONOPTIMIZE": "2", "PYTHONWARNINGS": "error"}),
-    Case("sweep, warnings are errors", SWEPT, env={"PYTHONWARNINGS": "error"}, rare=True),
-    Case("sweep without docstrings", SWEPT, env={"PYTHONOPTIMIZE": "2"}, rare=True),
-    Case("study, warnings are errors", "{study} --help", env={"PYTHONWARNINGS": "error"}, rare=True),
     Case("validation, C locale, warnings are errors", "{validation} --help", check=helpful,
          env={**C_LOCALE, "PYTHONWARNINGS": "error"}),
 ]  # fmt: skip
@@ -209,4 +173,4 @@ FILES = [
     Case("no file may grow", f"(ulimit -f 0; {SHORT})", status=2,
          says=one_of_ours("r/.*: cannot be written: File too.*")),
 ]  # fmt: skip
-CASES = [case for case in (*ENCODINGS, *OUTPUTS, *FOLDERS, *VARIABLES, *FILES) if FULL or not case.rare]
+CASES = [*ENCODINGS, *OUTPUTS, *FOLDERS, *VARIABLES, *FILES]

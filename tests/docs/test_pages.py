@@ -130,24 +130,6 @@ def test_a_public_name_without_a_place_is_refused(generate, monkeypatch):
         list(generate.api())
 
 
-def example_names(text):
-    """Return the public names that the Python blocks of a page use: `cl.NAME`, or imported from the package."""
-    code = "\n".join(code for _, code in blocks(text, "python"))
-    used = set(re.findall(r"\b(?:cl|closedloop)\.(\w+)", code))
-    for names in re.findall(r"^from closedloop import (.+)$", code, re.MULTILINE):
-        used |= set(names.split(", "))
-    return used
-
-
-def test_every_public_name_has_an_example():
-    """On a page whose blocks `test_the_code_of_a_page_runs` runs; in a sentence it does not count."""
-    used = set().union(*(example_names(page.read_text(encoding="utf-8")) for page in WITH_CODE))
-    assert sorted(set(closedloop.__all__) - used) == []
-    assert example_names("`cl.simulate`\n\n```python\nfrom closedloop import Law, Run\ncl.halve(x)\n```\n") == {
-        "Law", "Run", "halve",
-    }  # fmt: skip
-
-
 def names_of_others(code):
     """Return the names that a program reads at its top level and in its functions and does not make itself."""
     tree = ast.parse(code)

@@ -17,28 +17,13 @@ import robot_models
 def test_every_file_is_refused_in_one_line_or_is_the_robot_of_its_text(seed):
     """No traceback, no noise, no hang, no other robot; blanks and remarks change nothing; the count is what ran."""
     pytest.importorskip("mujoco")
-    files = budget(96, 400)
+    files = budget(48, 400)
     outcomes = robot_files.run(robot_files.generate(seed, files))
     wrong = [f"{outcome.kind}: {outcome.case.name}\n{outcome.text}" for outcome in outcomes if not outcome.clean]
     assert not wrong, "\n".join(wrong)
     count = Counter((outcome.case.suffix, outcome.kind) for outcome in outcomes)
     assert sum(count.values()) == files
     assert min(count[suffix, kind] for suffix in (".urdf", ".xml") for kind in ("refused", "loaded")) >= files // 8
-
-
-@pytest.mark.slow
-def test_the_cases_are_many_and_the_same_for_a_seed():
-    """Both formats, faults and changes that mean nothing, none of them twice by name and bytes."""
-    cases = robot_files.generate(5, 400)
-    assert cases == robot_files.generate(5, 400)
-    assert cases != robot_files.generate(6, 400)
-    assert len({(case.name, case.data) for case in cases}) == 400
-    assert Counter((case.suffix, case.same) for case in cases) == {
-        (".urdf", True): 50,
-        (".urdf", False): 150,
-        (".xml", True): 50,
-        (".xml", False): 150,
-    }
 
 
 def hanging(path):
@@ -97,7 +82,7 @@ def test_what_is_not_clean_is_seen(kind):
     whole = robot_files.URDF.encode()
     cases = [robot_files.Case(name, ".urdf", whole, whole, same) for name, same in (("one", True), ("two", False))]
     reader = warning if kind == "warning" else PLANTED[kind]
-    found = robot_files.run(cases, 5.0 if kind == "hang" else robot_files.PATIENCE, reader)
+    found = robot_files.run(cases, 1.0 if kind == "hang" else robot_files.PATIENCE, reader)
     assert [outcome.kind for outcome in found] == [{"warning": "traceback"}.get(kind, kind)] * 2
     assert not any(outcome.clean for outcome in found)
 

@@ -9,7 +9,7 @@ from bounded import judged
 from budget import budget
 from combinations import change, combinations
 from judged import BAD, FAULTY, HELD, RAN, REFUSED, STOPPED, judge, judge_halved, of_json, of_line, same
-from scenario_cases import Case, all_cases, legal_extremes, one_wrong_value, places, tables, wrong_values
+from scenario_cases import Case, all_cases, legal_extremes, tables
 from scenarios import FIRST
 from shipped_cases import shipped_cases, shipped_tables
 
@@ -19,14 +19,14 @@ from closedloop.scenario.load import scenario_of, shipped_scenarios
 from closedloop.scenario.messages import variants
 from closedloop.scenario.scenario import Scenario
 
-CASES = budget(200, 4000)
+CASES = budget(100, 4000)
 
 
 @pytest.mark.slow
 def test_no_value_makes_anything_but_a_refusal_a_run_or_a_stop():
     """Of many hundreds of scenarios none ends in a traceback, a warning, a hang, or a number that is none."""
     counts, faulty = Counter(), []
-    plain = all_cases(extremes=budget(0, 500), count=budget(190, None))
+    plain = all_cases(extremes=budget(0, 500), count=budget(90, None))
     shipped = [case for pair in zip(plain, shipped_cases(len(plain)), strict=True) for case in pair]
     # One that stops, whatever is drawn: its friction throws the joint about.
     stops = tables("wam4", {"joint_friction": "dahl"})
@@ -37,7 +37,7 @@ def test_no_value_makes_anything_but_a_refusal_a_run_or_a_stop():
         if outcome == FAULTY:
             faulty.append(f"{case.name[:200]}: {words}")
     assert not faulty, "\n".join(faulty)
-    assert counts.total() > 190
+    assert counts.total() > 90
     assert min(counts[REFUSED], counts[RAN], counts[STOPPED]) > 0
 
 
@@ -82,16 +82,6 @@ def test_a_difference_beyond_the_bound_is_seen(monkeypatch):
     assert judge_halved(case)[0] == HELD
     monkeypatch.setattr(verdict, "STEP_SHARE", 1e-12)
     assert judge_halved(case) == (BAD, "step")
-
-
-@pytest.mark.slow
-def test_every_key_is_tried_and_there_are_many_cases():
-    """The cases are as many as asked for, each its own, and the same for the same seed."""
-    names = [case.name for case in one_wrong_value()]
-    assert len(names) == len(set(names)) == len(places()) * len(list(wrong_values())) > 10_000
-    pairs = [case.name for case in legal_extremes(2, seed=3)]
-    assert pairs == [case.name for case in legal_extremes(2, seed=3)]
-    assert pairs != [case.name for case in legal_extremes(2, seed=4)]
 
 
 def _fault(kind):

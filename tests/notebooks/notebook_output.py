@@ -116,12 +116,6 @@ def outputs(notebook):
     return [output for cell in notebook.cells if cell.cell_type == "code" for output in cell.outputs]
 
 
-def printed(notebook):
-    """Return the lines that were printed, without colours."""
-    text = "".join(output.text for output in outputs(notebook) if output.get("name") == "stdout")
-    return re.sub(r"\x1b\[\d*m", "", text).splitlines()
-
-
 def number(word):
     """Return the number that a word is, brackets, signs and commas around it aside, or None."""
     found = re.fullmatch(r"[(,]*([-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?)[),:;]*", word)

@@ -4,7 +4,7 @@ import itertools
 import xml.etree.ElementTree as ET
 
 import pytest
-from budget import budget
+from budget import budget, others
 
 import robot_models
 from robot_models import described, example_robots, urdf
@@ -40,11 +40,7 @@ def padded(value, blank):
 
 @pytest.mark.parametrize(
     ("name", "kind"),
-    [
-        pytest.param(name, kind, marks=() if (name, kind) in QUICK else pytest.mark.slow)
-        for name in NAMES
-        for kind in BLANKS
-    ],
+    [*sorted(QUICK), *others((name, kind) for name in NAMES for kind in BLANKS if (name, kind) not in QUICK)],
 )
 def test_all_attributes_at_once(tmp_path, name, kind):
     """A robot whose every attribute is padded is the same robot to the last bit, by file and by fields."""

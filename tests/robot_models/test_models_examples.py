@@ -3,6 +3,7 @@
 import numpy as np
 import pinocchio as pin
 import pytest
+from budget import others
 
 import robot_models
 from robot_models import example_robots
@@ -41,9 +42,7 @@ def test_what_is_odd_is_named(name):
 QUICK = {"panda", "ur5", "kinova", "tiago", *sorted(LOADED)[::4]}  # the others are loaded with the longer tests
 
 
-@pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=() if name in QUICK else pytest.mark.slow) for name in sorted(LOADED)]
-)
+@pytest.mark.parametrize("name", [*sorted(QUICK), *others(sorted(LOADED - QUICK))])
 def test_loads(name):
     """On a fixed base, one variable a joint, home inside the limits, a tip that is in the robot."""
     robot = robot_models.load(name)

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from budget import others
 
 import closedloop as cl
 import robot_models
@@ -32,8 +33,7 @@ def test_runs_are_those_on_pinocchio(name, overrides):
     assert all(check.passed for check in checks), checks
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", shipped())
+@pytest.mark.parametrize("name", others(shipped()))
 def test_every_shipped_scenario_is_the_same_in_both_engines(name):
     """Likewise each scenario that is shipped, friction, other laws and all; the first compiles for a minute."""
     checks = list(compare_runs(name))

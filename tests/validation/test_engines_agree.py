@@ -4,7 +4,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from budget import budget
+from budget import budget, others
 
 import robot_models
 from validation.engines import ENGINES, Refused, available, installed, probe
@@ -101,7 +101,7 @@ def errors(engine, oracle, q, v, torque, normal, b, restitution):
             yield method, np.abs(got - wanted).max() / sizes[method], bound
 
 
-@pytest.mark.parametrize("name", [pytest.param(x, marks=() if x in QUICK else pytest.mark.slow) for x in ROBOTS])
+@pytest.mark.parametrize("name", [*QUICK, *others(x for x in ROBOTS if x not in QUICK)])
 @pytest.mark.parametrize("engine", PEERS, ids=lambda e: e.name)
 def test_agrees_with_the_oracle(engine, name):
     """Terms agree to rounding, accelerations and forces to rounding times the condition number."""

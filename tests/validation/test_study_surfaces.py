@@ -50,15 +50,6 @@ def test_a_run_that_cannot_go_on_is_a_cell_with_its_reason(monkeypatch):
 
 
 @pytest.mark.slow
-def test_the_best_law_holds_the_force_where_the_papers_does_not():
-    """10 N within 0.05 N RMS with a fifth of the friction unknown and a payload wrong by 10 %."""
-    best = surfaces.cell("", "", surfaces.breathing("operational space", " + observer"))
-    papers = surfaces.cell("", "", surfaces.breathing("paper", ""))
-    assert best["force_rms"] < 0.05
-    assert papers["force_rms"] > 10.0 * best["force_rms"]
-
-
-@pytest.mark.slow
 def test_command_writes_the_study_of_surfaces(tmp_path, capsys):
     """The quick study leaves its tables, its numbers and its figure."""
     assert main(["surfaces", "--quick", "--out", str(tmp_path)]) == 0

@@ -55,26 +55,6 @@ def test_a_thousand_changes_and_an_idle_page_leave_the_last_value(page, lab):
     assert plotted(page)["commanded"] == 6.0
 
 
-def test_what_is_no_request_of_the_page_changes_nothing(page, lab):
-    """Wrong kinds, wrong keys, wrong values, no JSON: no traceback, no other run, and the page goes on."""
-    settled(page, lab)
-    before = lab.run
-    huge, deep = "9" * 400, "[" * 100_000
-    for message in (f'{{"do": "shown", "t": {huge}}}', f'{{"do": "point", "u": {huge}}}', deep, "9" * 5000,
-                    f'{{"do": "window", "range": [0, {huge}]}}', f'{{"do": "analyse", "at": {huge}}}',
-                    f'{{"do": {"[" * 900 + "]" * 900}}}',
-                    "{", "[]", '"x"', '{"do": "set"}', '{"do": "set", "key": "law.force", "shown": "wide"}',
-                    '{"do": "set", "key": "law.kind", "shown": "os:system"}', '{"do": "open", "name": "/etc/passwd"}',
-                    '{"do": "columns", "names": 3}', '{"do": "window", "range": ["a", null]}',
-                    '{"do": "point", "u": null}', '{"do": "analyse", "at": "x"}', '{"do": "boundary"}'):  # fmt: skip
-        page.evaluate("text => socket.send(text)", message)
-    settled(page, lab)
-    page.evaluate("text => socket.send(text)", '{"do": "nothing"}')  # by itself: a later line takes its place
-    page.get_by_text("is no request of the lab's").wait_for()
-    assert lab.run.scenario == before.scenario
-    assert page.evaluate("socket.readyState") == 1
-
-
 def test_a_curve_of_many_points_covers_what_its_line_would(page):
     """In every column of pixels from its least to its greatest value; with dashes in some columns and not in others."""
     drawn = """([count, dashes]) => {

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from budget import budget
+from budget import others
 from lab_page import opened_page, plotted, settled
 
 import closedloop as cl
@@ -62,19 +62,9 @@ def test_names_of_curves_are_seen_or_counted(offline, tmp_path):
     page.close()
 
 
-# Their scenes are those of another scenario: an arm on a plane, or the same hand, mechanism or wavy part.
-ALIKE = (
-    "four_bar", "fr3_press", "gripper_block", "hand_turns", "joint_friction", "panda_scan", "panda_slide",
-    "panda_touchdown", "panda_wipe", "payload_mismatch", "planar2_slide", "wam_bounce", "wam_edge",
-    "wam_hybrid_friction", "wam_liftoff", "wam_slide_friction", "wam_slide_unstabilised", "wam_stick_slip",
-    "wam_through_singularity", "wam_touchdown",
-)  # fmt: skip
-SHARED = [name for name in cl.shipped_scenarios() if name not in budget(ALIKE, ())]
-
-
-@pytest.mark.parametrize("name", SHARED)
+@pytest.mark.parametrize("name", others(cl.shipped_scenarios()))
 def test_the_shared_page_opens_from_disk_without_network(name, offline, tmp_path):
-    """Of every kind of scene, offline: small, asks for nothing, throws nothing, shows tip and forces, and moves."""
+    """Offline: small, asks for nothing, throws nothing, shows tip and forces, and moves."""
     shorter = {"time.duration": 1.0} if name == "push_block" else {}  # its pushed block takes the longest to compute
     run = cl.simulate(cl.load_scenario(name, shorter), engine="compiled")
     file = Path(run.show(tmp_path / "page.html"))

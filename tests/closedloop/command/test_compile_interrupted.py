@@ -257,7 +257,7 @@ def test_ctrl_c_at_random_moments_of_compiling():
     began = time.perf_counter()
     made(entry_kernel)(NUMBERS, np.zeros(3))
     seconds, answered = time.perf_counter() - began, 0
-    for k in range(20):
+    for k in range(6):
         function, out = made(entry_kernel, f"work{k}"), np.zeros(3)
         wait = rng.uniform(0.0, seconds)
 
@@ -277,4 +277,4 @@ def test_ctrl_c_at_random_moments_of_compiling():
         assert lock_is_free()
         function(NUMBERS, out)
         np.testing.assert_array_equal(out, 1.0)
-    assert answered == 20
+    assert answered == 6

@@ -179,8 +179,8 @@ def alarm():
     [
         ("rk4", None, 8.0, 6),
         ("rk4", soft, 0.1, 6),
-        pytest.param("dop853", None, 0.3, 20, marks=pytest.mark.slow),
-        pytest.param("dop853", soft, 0.1, 20, marks=pytest.mark.slow),
+        pytest.param("dop853", None, 0.3, 6, marks=pytest.mark.slow),
+        pytest.param("dop853", soft, 0.1, 6, marks=pytest.mark.slow),
     ],
     ids=["rk4", "rk4, a law", "dop853", "dop853, a law"],
 )

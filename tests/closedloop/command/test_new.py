@@ -7,6 +7,7 @@ import re
 
 import numpy as np
 import pytest
+from budget import others
 
 import closedloop as cl
 import robot_models
@@ -66,7 +67,7 @@ def test_loops_that_no_posture_closes_are_named_at_once():
         first_slide(Robot(dataclasses.replace(four_bar, loops=(apart,))), "four_bar")
 
 
-@pytest.mark.parametrize("robot", ["planar2", *(pytest.param(arm, marks=pytest.mark.slow) for arm in ARMS)])
+@pytest.mark.parametrize("robot", ["planar2", *others(ARMS)])
 def test_what_is_written_runs_with_a_good_verdict(robot, new, tmp_path):
     """The file has a comment on its robot, and its run slides, presses as asked and is good."""
     status, out, err = new("my_slide", "--robot", robot)

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from budget import others
 
 import closedloop as cl
 from closedloop.__main__ import main
@@ -38,7 +39,7 @@ def loaded(run, folder):
     return mujoco, model, mujoco.MjData(model)
 
 
-@pytest.mark.parametrize("name", [n if n in QUICK else pytest.param(n, marks=pytest.mark.slow) for n in ARMS])
+@pytest.mark.parametrize("name", [*QUICK, *others(n for n in ARMS if n not in QUICK)])
 def test_the_arm_is_that_of_the_run(name, tmp_path):
     """At the run's states: the tip to 1e-9 m, mass matrix, bias with gravity, moved mass; no shape touches."""
     run = cl.simulate(cl.load_scenario(name, {"time.duration": 0.02}))
@@ -110,12 +111,10 @@ def test_a_surface_that_moves_is_a_body_that_can_be_moved(tmp_path):
     assert gap == pytest.approx(run.closure_error[-1], abs=1e-6)
 
 
-MECHANISMS = ("four_bar", "five_bar", "stewart", "delta", "gripper_gear", "two_arms_bar")
+MECHANISMS = ("gripper_gear", "four_bar", "five_bar", "stewart", "delta", "two_arms_bar")
 
 
-@pytest.mark.parametrize(
-    "name", [n if n == "gripper_gear" else pytest.param(n, marks=pytest.mark.slow) for n in MECHANISMS]
-)
+@pytest.mark.parametrize("name", [MECHANISMS[0], *others(MECHANISMS[1:])])
 def test_loops_are_closed_and_contacts_touch_as_in_the_run(name, tmp_path):
     """At the first and the last row MuJoCo's equalities hold, and each pair is as far apart as the run's contact is."""
     run = cl.simulate(cl.load_scenario(name, {"time.duration": 0.02}))

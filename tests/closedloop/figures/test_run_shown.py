@@ -1,11 +1,7 @@
 """How a run shows itself: as a figure, as a DataFrame, in Jupyter; and what help says."""
 
-import io
 import pydoc
-import re
 import xml.etree.ElementTree as ET
-from contextlib import redirect_stdout
-from pathlib import Path
 
 import matplotlib as mpl
 import numpy as np
@@ -16,28 +12,11 @@ import closedloop as cl
 from closedloop.figures.motion import directions, tip_errors
 from closedloop.mechanics.closure.contact_force import FREE
 
-PAGE = Path(cl.__file__).parents[1] / "docs" / "interactive.md"
-SHARED = {}
-
 
 @pytest.fixture(scope="module")
 def run():
     """Return a run that comes down on the surface, with a noisy force sensor."""
     return cl.simulate(cl.load_scenario("wam_touchdown", {"time.duration": 4.0, "sensor.noise": 0.05}))
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("k", range(len(re.findall(r"```python\n", PAGE.read_text(encoding="utf-8")))))
-def test_page_about_interactive_use_runs(k, tmp_path, monkeypatch):
-    """Every block of docs/interactive.md runs, after those before it, and prints what it says that it prints."""
-    block = re.findall(r"```python\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)[k]
-    monkeypatch.chdir(tmp_path)
-    with redirect_stdout(io.StringIO()) as out:
-        exec(block, SHARED)
-    if "savefig" in block:
-        assert list(tmp_path.glob("*.png"))
-    else:
-        assert out.getvalue()
 
 
 def test_plot_shows_force_errors_and_path(run):

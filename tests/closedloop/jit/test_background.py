@@ -229,7 +229,7 @@ def test_from_the_first_run_to_the_second(tmp_path):
         if ".proceed_at-" not in file.name:
             shutil.copy(file, new)
     del environment[background.VARIABLE]
-    command = [sys.executable, "-m", "closedloop.run", "wam_slide", "--time.duration", "0.5", "--no-figures", "--json"]
+    command = [sys.executable, "-m", "closedloop.run", "wam_slide", "--time.duration", "0.1", "--no-figures", "--json"]
 
     def begin(name):
         return subprocess.Popen(

@@ -260,24 +260,6 @@ def test_ctrl_c_closes_the_lab_without_a_traceback(tmp_path):
     assert "the lab is closed" in err
 
 
-@pytest.mark.slow
-def test_a_minute_of_dragging_leaves_the_last_value_and_no_memory():
-    """Sixty changes a second, for four seconds here: no fault, the last value shown, no growth."""
-    pytest.importorskip("websockets", reason="websockets is not installed: the extra 'lab'")
-    from validation.speed.lab import MOST_MB, drag
-
-    lab = cl.lab("wam_slide", port=8441, show=False)
-    try:
-        assert lab.wait(600.0)
-        found = drag(lab, 4.0)
-    finally:
-        lab.close()
-    assert found.faults == 0
-    assert found.shown > 10
-    assert found.last == pytest.approx(found.wanted)
-    assert found.growth < MOST_MB
-
-
 def test_csv_has_units_and_every_digit(run_file, tmp_path):
     """The numbers are read back to the bit, and the events stand in a file of their own."""
     assert main(["export", str(run_file), "--to", "csv", "--out", str(tmp_path / "drop.csv")]) == 0

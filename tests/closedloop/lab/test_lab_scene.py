@@ -8,6 +8,7 @@ import matplotlib as mpl
 import numpy as np
 import pinocchio
 import pytest
+from budget import others
 
 import closedloop as cl
 from closedloop.figures.force import friction_bounds
@@ -34,7 +35,7 @@ def short_run(name, **changes):
     return cl.simulate(cl.load_scenario(name, {"time.duration": 0.5} | changes))
 
 
-@pytest.mark.parametrize("name", [n if n in QUICK else pytest.param(n, marks=pytest.mark.slow) for n in SHIPPED])
+@pytest.mark.parametrize("name", [*QUICK, *others(n for n in SHIPPED if n not in QUICK)])
 def test_the_drawn_tip_is_on_the_surface_and_the_arrows_are_the_forces(name):
     """In every shipped scenario: in contact the tip is drawn on the drawn surface, and the arrows are the run's."""
     run = cl.simulate(cl.load_scenario(name), engine="compiled") if name not in QUICK else short_run(name)

@@ -7,6 +7,7 @@ import sys
 
 import numpy as np
 import pytest
+from budget import others
 from pydantic import Field
 
 import closedloop as cl
@@ -64,13 +65,13 @@ def assert_alike(link, tip, position=1e-12, force=1e-9):
     ("law", "scheme"),
     [
         ("lugre", "semi_implicit_euler"),
-        *[
-            pytest.param(law, scheme, marks=pytest.mark.slow)
+        *others(
+            (law, scheme)
             for law in LAWS
             for scheme in ("semi_implicit_euler", "rk4", "dop853")
             if not (law == "lugre" and scheme == "semi_implicit_euler")
             and not (law == "seven_parameter" and scheme == "dop853")
-        ],
+        ),
     ],
 )
 def test_every_law_of_friction_is_the_one_of_the_tip(law, scheme):

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from boxes import FEET, FOUR, HALF, G, drop_in_any_pose, simulate
 from budget import budget
-from scipy.integrate import quad
 
 import closedloop as cl
 from closedloop.record.report.summary import share_not_determined
@@ -117,7 +116,7 @@ def draw(rng, feet):
     )
 
 
-@pytest.mark.parametrize("seed", [0, 1, *(pytest.param(k, marks=pytest.mark.slow) for k in range(2, budget(8, 30)))])
+@pytest.mark.parametrize("seed", [0, 1, *(pytest.param(k, marks=pytest.mark.slow) for k in range(2, budget(4, 30)))])
 @pytest.mark.parametrize("feet", FEET)
 def test_a_box_that_is_dropped_comes_to_rest(tmp_path, feet, seed):
     """With whatever pose, velocity, friction and restitution; without friction it may go on along the floor.
@@ -141,8 +140,8 @@ def test_a_box_that_is_dropped_comes_to_rest(tmp_path, feet, seed):
         (5, 82, 0.06),  # one foot slides until pressing harder pulls it in: its force grows, and stops it before
         (8, 224, 0.06),  # ... and an impulse stops it
         (8, 86, 1.0),  # rates of its joints of thousands of rad/s, near a pose in which two have one axis
-        *(pytest.param(4 + (k % 2), k, 4.0, marks=pytest.mark.slow) for k in range(budget(10, 20))),
-        *(pytest.param(8, k, 4.0, marks=pytest.mark.slow) for k in range(budget(10, 20))),
+        *(pytest.param(4 + (k % 2), k, 4.0, marks=pytest.mark.slow) for k in range(budget(4, 20))),
+        *(pytest.param(8, k, 4.0, marks=pytest.mark.slow) for k in range(budget(4, 20))),
     ],
 )
 def test_a_box_dropped_in_any_pose_goes_on(tmp_path, feet, seed, duration):
@@ -171,88 +170,3 @@ def test_what_soft_contacts_bear_is_determined():
     for among, found in (("*", None), (0, (0.0, 57, 30))):
         tower = cl.load_scenario("tower", {"time.duration": 0.004, f"contact.{among}.compliance": soft})
         assert share_not_determined(cl.simulate(tower, engine="compiled")) == found
-
-
-def falling(angle, alpha, p):
-    """Return how long a block that rocks needs from rest at this angle, rad, to the floor, s.
-
-    θ'' = −p² sin(α − θ), so that θ'² = 2 p² (cos(α − θ0) − cos(α − θ)) with its signs; θ = θ0 (1 − s²).
-    """
-
-    def time(s):
-        theta = angle * (1.0 - s * s)
-        speed = 2.0 * p * np.sqrt(abs(np.sin(alpha - (angle + theta) / 2) * np.sin((angle - theta) / 2)))
-        return 2.0 * angle * s / speed
-
-    return quad(time, 0.0, 1.0)[0]
-
-
-@pytest.mark.parametrize(
-    ("aspect", "mu"),
-    [(2.0, 0.7), pytest.param(1.0, 3.0), *(pytest.param(a, 3.0, marks=pytest.mark.slow) for a in (2, 4))],
-)
-def test_a_rocking_block_rests_when_housner_says(tmp_path, aspect, mu):
-    """Each strike leaves r = 1 − 3/2 sin²α of the rate (G. W. Housner, 1963), and it rests where the strikes converge.
-
-    After the strikes the block has rested at the end of their geometric sum to a thousandth of it, has lost all of the
-    energy that it had and no more, and stands on the floor to a nanometre.
-    """
-    half = np.array([0.1, 0.1, 0.1 * aspect])
-    alpha, radius, angle = np.arctan2(1.0, aspect), np.hypot(half[0], half[2]), 0.05
-    p, ratio = np.sqrt(0.75 * G / radius), 1.0 - 1.5 * np.sin(alpha) ** 2
-    feet = [(x, 0.0, -half[2]) for x in (half[0], -half[0])]
-    low = radius * np.cos(alpha - angle)
-    side = -half[0] + radius * np.sin(alpha - angle)
-    run = simulate(
-        tmp_path,
-        half,
-        feet,
-        ([side, low, -angle], [0.0, 0.0, 0.0]),
-        mu,
-        **{"time.duration": 4.0 if aspect > 3 else 0.8},
-    )
-    examine(run, mu, -1e-9)
-    strikes, expected, swing = [event for event in run.events if event.kind in ("impact", "touchdown")], [], angle
-    lift = np.cos(alpha - angle) - np.cos(alpha)
-    time = falling(angle, alpha, p)
-    while swing > 1e-9:
-        expected.append(time)
-        lift *= ratio * ratio
-        swing = alpha - np.arccos(np.cos(alpha) + lift)
-        time += 2.0 * falling(swing, alpha, p)
-    first = min(5, len(strikes))
-    np.testing.assert_allclose([event.time for event in strikes[:first]], expected[:first], rtol=1e-6)
-    assert run.events[-1].time == pytest.approx(expected[-1], rel=1e-3)
-    assert len(run.events) < 200
-    assert np.max(np.abs(run.v[-1])) < 1e-9
-    taken = run.kinetic_energy[0] + run.potential_energy[0] - run.kinetic_energy[-1] - run.potential_energy[-1]
-    assert np.sum(run.event_energy_lost) == pytest.approx(taken, rel=1e-6)
-
-
-@pytest.mark.parametrize(
-    ("aspect", "mu", "e"),
-    [
-        pytest.param(a, mu, e, marks=() if (a, mu, e) in ((1.0, 0.05, 0.0), (4.0, 0.3, 0.5)) else pytest.mark.slow)
-        for a in (1.0, 4.0)
-        for mu in (0.05, 0.3, 3.0)
-        for e in (0.0, 0.5, 0.9)
-    ],
-)
-def test_a_rocking_block_rests_whatever_its_friction_and_restitution(tmp_path, aspect, mu, e):
-    """It comes to rest after finitely many events, on the floor."""
-    half, angle = np.array([0.1, 0.1, 0.1 * aspect]), 0.05
-    feet = [(x, 0.0, -half[2]) for x in (half[0], -half[0])]
-    height = half[0] * np.sin(angle) + half[2] * np.cos(angle)
-    run = simulate(
-        tmp_path,
-        half,
-        feet,
-        ([0.0, height, -angle], [0.0, 0.0, 0.0]),
-        mu,
-        e,
-        **{"time.duration": 2.5 + 5.0 * e + (2.5 if aspect > 3 else 0.0)},
-    )
-    examine(run, mu, -1e-7)
-    assert len(run.events) < 3000
-    assert np.min(run.link_gaps[-1]) > -1e-9
-    assert np.max(np.abs(run.v[-1])) < 1e-6

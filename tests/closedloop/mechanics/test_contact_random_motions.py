@@ -73,8 +73,8 @@ def test_a_mended_motion_stays_on_its_surfaces(tmp_path, seed):
         20261214: half,
         20261377: half,
         20261783: eighth,
-        20261842: half | {"time.duration": 0.305},
-        20261488: {"time.duration": 0.2},
+        20261842: half | {"time.duration": 0.295},
+        20261488: {"time.duration": 0.155},
     }
     scenario = cl.load_scenario(str(tmp_path / "scenario.toml"), changes.get(seed, {}))
     run = cl.simulate(scenario, law=no_torque, engine="compiled")

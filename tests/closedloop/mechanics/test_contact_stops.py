@@ -16,7 +16,6 @@ def limited(lower, upper):
     return dataclasses.replace(block(), position_lower=np.array(lower), position_upper=np.array(upper))
 
 
-FAR = [{"name": "far", "link": "block", "through": [0, 0, -90.0], "friction": 0.3}]
 FREE = 50.0
 
 
@@ -47,18 +46,6 @@ def test_weight_is_shared_by_a_foot_and_a_stop():
     assert np.max(run.residual_motion) < 1e-14
     falls = moved([0, HEIGHT / 2, 0], [0, 0, 0], corners(0.5)[1:], 0.01, model=model, **{"robot.stops": True})
     assert falls.acceleration[0, 2] > 1.0  # on the other foot nothing stops it
-
-
-def test_a_contact_that_is_never_closed_changes_nothing():
-    """With it the run is that of the stops alone."""
-    model, changes = (
-        limited([-0.02, -0.05, -0.1], [0.03, 0.02, 0.2]),
-        {"robot.stops": True, "robot.stop_restitution": 0.6},
-    )
-    several, alone = (moved([0, 0, 0], [0.5, 0.1, 0.7], of, 0.4, 5e-3, model=model, **changes) for of in (FAR, None))
-    assert len(several.events) == len(alone.events) > 5
-    np.testing.assert_allclose(several.q, alone.q, atol=1e-9)
-    np.testing.assert_allclose(several.stop_torque, alone.stop_torque, atol=1e-9)
 
 
 def test_block_rattles_between_stops_and_floor():

@@ -11,9 +11,7 @@ import closedloop as cl
 import robot_models
 from closedloop.base.errors import ScenarioError
 from closedloop.jit.interpreted import interpreted
-from closedloop.jit.kernel import plain
 from closedloop.loop.step.advance import turn_rate
-from closedloop.mechanics.robot.tree import tree_potential_energy, tree_terms, work_size
 from closedloop.mechanics.robot.tree.layout import turn
 from robot_models.coordinates import continuous, with_quaternions, with_rotation_vectors
 from tests.closedloop.free_bodies import BODY, TREE, matrices, no_torque, random_positions, scenario_of, written
@@ -37,39 +35,6 @@ def body(tmp_path, moments=MOMENTS, gravity="0 0 0"):
 def run_of(tmp_path, model, q, v, engine="compiled", **changes):
     """Return the run of bodies without any torque."""
     return cl.simulate(scenario_of(tmp_path, model, q, v, **changes), law=no_torque, engine=engine, progress=False)
-
-
-@pytest.mark.parametrize("tip", ["tip", "leg", "stick", "ball", "arm"])
-def test_both_sources_of_terms_agree(tree, tip):
-    """Our own tree and Pinocchio have the same terms and energy."""
-    model, _ = tree
-    robot, rng = cl.Robot(model, tip), np.random.default_rng(0)
-    n = robot.n
-    work = np.zeros(plain(work_size)(n))
-    for _ in range(5):
-        q, v = random_positions(model, rng), 2.0 * rng.normal(size=n)
-        theta = with_rotation_vectors(q, model.joint_types)
-        H, C, J, r, drift = np.zeros((n, n)), np.zeros(n), np.zeros((3, n)), np.zeros(3), np.zeros(3)
-        interpreted(tree_terms)(robot.tree, theta, v, work, H, C, (J, r, drift))
-        known = robot.terms(q, v)
-        own = np.triu(H) + np.triu(H, 1).T, C, r, J, drift, interpreted(tree_potential_energy)(robot.tree, theta, work)
-        for ours, theirs in zip(own, (*known, robot.potential_energy(q[None])[0]), strict=True):
-            assert np.abs(ours - theirs).max() <= 1e-12 * max(1.0, np.abs(theirs).max())
-
-
-def test_terms_are_mujocos_in_its_own_order(tree):
-    """H and C are MuJoCo's, with its numbers in its order."""
-    model, path = tree
-    theirs = mujoco.MjModel.from_xml_path(path)
-    data, rng, robot = mujoco.MjData(theirs), np.random.default_rng(1), cl.Robot(model, "tip")
-    q, v = random_positions(model, rng), rng.normal(size=model.n)
-    data.qpos[:], data.qvel[:] = q, v
-    mujoco.mj_forward(theirs, data)
-    H = np.zeros((model.n, model.n))
-    mujoco.mj_fullM(theirs, data, H)
-    ours = robot.terms(q, v)
-    assert np.abs(H - ours.mass_matrix).max() < 1e-14
-    assert np.abs(data.qfrc_bias - ours.bias).max() < 1e-12
 
 
 def test_quaternions_and_rotation_vectors_are_each_others_inverse(tree):

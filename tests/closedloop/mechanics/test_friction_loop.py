@@ -9,9 +9,7 @@ from closedloop.scenario.load import parse_scenario
 
 GRAVITY = 9.81  # m/s², along -z
 MASS = 2.0  # kg, of pointmass3
-FREE, PRESSED, STUCK = 0, 1, 2
-# Rounding of a run: sums of as many steps as it has.
-ROUNDING = 1e-9
+PRESSED, STUCK = 1, 2
 
 BLOCK = """
 [robot]
@@ -47,67 +45,6 @@ def block(law=nothing, **overrides):
     """Simulate the point mass on a plane; `a__b` stands for the key a.b."""
     keys = {key.replace("__", "."): value for key, value in overrides.items()}
     return cl.simulate(parse_scenario(BLOCK, overrides=keys), law=law)
-
-
-def incline(angle, mu, **overrides):
-    """Simulate the block let go at rest on a plane that falls along +x."""
-    normal = (np.sin(angle), 0.0, np.cos(angle))
-    return block(
-        surface__normal=normal,
-        friction={"kind": "coulomb", "coefficient": mu},
-        **overrides,
-    )
-
-
-@pytest.mark.parametrize("angle", [0.1, 0.5, 1.0])
-def test_a_block_on_an_incline_sticks_above_the_threshold(angle):
-    """A block on an incline sticks above the threshold."""
-    run = incline(angle, np.tan(angle) + 1e-3)
-    assert np.all(run.mode == STUCK)
-    assert np.abs(run.position - run.position[0]).max() < 1e-12
-    weight = MASS * GRAVITY
-    np.testing.assert_allclose(run.contact_force, weight * np.cos(angle), rtol=1e-9)
-    np.testing.assert_allclose(np.linalg.norm(run.friction_force, axis=1), weight * np.sin(angle), rtol=1e-9)
-
-
-@pytest.mark.parametrize("angle", [0.1, 0.5, 1.0])
-def test_a_block_on_an_incline_slips_below_the_threshold(angle):
-    """A block on an incline slips below the threshold."""
-    mu = np.tan(angle) - 1e-3
-    run = incline(angle, mu)
-    a = GRAVITY * (np.sin(angle) - mu * np.cos(angle))
-    downhill = (run.position - run.position[0]) @ [np.cos(angle), 0.0, -np.sin(angle)]
-    assert [event.kind for event in run.events] == ["slip"]
-    np.testing.assert_allclose(downhill, 0.5 * a * run.time**2, rtol=1e-9, atol=ROUNDING * a)
-
-
-@pytest.mark.parametrize("heading", [0.0, 0.7, 2.9])
-def test_a_sliding_block_stops_where_and_when_the_closed_form_says(heading):
-    """A sliding block stops where and when the closed form says."""
-    mu, v0 = 0.3, 1.0
-    along = np.array([np.cos(heading), np.sin(heading), 0.0])
-    run = block(friction=DRY["coulomb"], start__v=tuple(v0 * along))
-    moved = run.position[-1] - run.position[0]
-    np.testing.assert_allclose(moved, v0**2 / (2 * mu * GRAVITY) * along, rtol=1e-9, atol=1e-12)
-    assert [event.kind for event in run.events] == ["stick"]
-    assert run.events[0].time == pytest.approx(v0 / (mu * GRAVITY), rel=1e-9)
-    assert np.all(run.mode[run.time > run.events[0].time] == STUCK)
-
-
-def test_friction_has_no_preferred_direction():
-    """Friction has no preferred direction."""
-    rng = np.random.default_rng(1)
-    kick = rng.normal(size=2)
-    turn = 1.234
-    turned = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]]) @ kick
-    one, other = (
-        block(friction=DRY["stribeck"], start__v=(*v.tolist(), 0.0), time__duration=0.4) for v in (kick, turned)
-    )
-    for column in ("position", "friction_force"):
-        size = [np.linalg.norm((getattr(r, column) - getattr(r, column)[0] * (column == "position"))[:, :2], axis=1)
-                for r in (one, other)]  # fmt: skip
-        np.testing.assert_allclose(*size, rtol=1e-9, atol=1e-11)
-    np.testing.assert_allclose(np.cross(one.position - one.position[0], [*kick, 0.0]), 0.0, atol=1e-12)
 
 
 def pulled(pull, stiffness):

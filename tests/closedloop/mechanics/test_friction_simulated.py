@@ -66,17 +66,6 @@ def test_published_stick_slip_ends_where_published():
     assert run.v[-1, 0] == pytest.approx(v, rel=1e-9)
 
 
-@pytest.mark.slow
-def test_published_stick_slip_at_a_millisecond():
-    """Semi-implicit Euler comes to the same end with its order, one: its bristles stand even a step of 1 ms."""
-    ends = []
-    for h in (1e-3, 5e-4):
-        run = drawn("compiled", friction=PUBLISHED, time__step=h)
-        ends.append(run.position[-1, 0] - run.position[0, 0] - PUBLISHED_END[0])
-    assert abs(ends[0]) < 1e-3
-    assert ends[0] / ends[1] == pytest.approx(2.0, rel=0.05)
-
-
 @pytest.mark.parametrize("scheme", ["semi_implicit_euler", pytest.param("rk4", marks=pytest.mark.slow)])
 @pytest.mark.parametrize("kind", LAWS)
 def test_energy_that_friction_takes_is_what_is_missing(kind, scheme):

@@ -3,12 +3,10 @@
 import numpy as np
 import pinocchio as pin
 import pytest
-from rounding import within
 
 import closedloop as cl
 import robot_models
 from closedloop.mechanics.robot.tip import tip_kinematics
-from robot_models.planar2 import closed_form
 
 # Two summations of the same few dozen products in another order: some hundred roundings of 1e-16 of the largest.
 ROUNDING = 1e-13
@@ -70,37 +68,6 @@ def test_mass_matrix_and_bias_invert_recursive_newton_euler(name, tip, robot, ra
         assert np.array_equal(terms.mass_matrix, terms.mass_matrix.T)
 
 
-@pytest.mark.parametrize(("name", "tip"), ROBOTS, ids=IDS)
-def test_jacobian_and_drift_are_derivatives_of_the_position(name, tip, robot, random_states):
-    """Along q(t) = q + v t the tip's first derivative is Jᵣq̇ and its second is J̇ᵣq̇.
-
-    Fourth-order differences of step 1e-3 on a smooth function of order one: truncation 1e-12 × derivatives of
-    order five and six, rounding 1e-16/1e-3 and 1e-16/1e-6.
-    """
-    arm = robot(name, tip)
-    h = 1e-3
-    for s in random_states(arm, 5, 3):
-        v = s.v / np.linalg.norm(s.v)
-        far_back, back, here, ahead, far_ahead = (arm.position(s.q + k * h * v) for k in (-2, -1, 0, 1, 2))
-        terms = arm.terms(s.q, v)
-        first = (8 * (ahead - back) - (far_ahead - far_back)) / (12 * h)
-        second = (16 * (ahead + back) - (far_ahead + far_back) - 30 * here) / (12 * h * h)
-        assert np.max(np.abs(terms.jacobian @ v - first)) < 1e-10
-        assert np.max(np.abs(terms.drift - second)) < 1e-7
-        assert np.array_equal(terms.position, here)
-
-
-def test_planar2_has_the_terms_of_the_textbook(robot, random_states):
-    """The terms of planar2 are those of the closed form, which no engine took part in."""
-    arm = robot("planar2")
-    for s in random_states(arm, 100, 4):
-        ours, theirs = arm.terms(s.q, s.v), closed_form.terms(s.q, s.v)
-        for field in ("mass_matrix", "bias", "position", "jacobian", "drift"):
-            assert close(getattr(ours, field), getattr(theirs, field), ROUNDING), field
-        for computed, field in zip(fast_path(arm, s.q, s.v), ("jacobian", "position", "drift"), strict=True):
-            assert close(computed, getattr(theirs, field), ROUNDING), field
-
-
 def test_drift_has_no_gravity_in_it(robot):
     """At rest J̇ᵣq̇ is zero: the gravity that the fast path's passes carry is taken out to rounding."""
     for name, tip in ROBOTS:
@@ -108,29 +75,6 @@ def test_drift_has_no_gravity_in_it(robot):
         rest = np.zeros(arm.n)
         assert np.max(np.abs(arm.terms(arm.model.home, rest).drift)) < 1e-14
         assert np.max(np.abs(fast_path(arm, np.array(arm.model.home), rest)[2])) < 1e-13
-
-
-def test_drives_add_to_the_diagonal_alone():
-    """Drive inertia adds to the diagonal of H, and to nothing else."""
-    q, v = np.array([0.3, 0.8, -0.2, 1.5]), np.array([0.4, -0.3, 0.2, 0.1])
-    with_drives = cl.Robot(robot_models.load("wam4"))
-    without = cl.Robot(robot_models.load("wam4", drive_inertia=False))
-    ours, bare = with_drives.terms(q, v), without.terms(q, v)
-    difference = ours.mass_matrix - bare.mass_matrix
-    assert within(16, difference, np.diag(with_drives.model.armature), 1.0)
-    assert np.all(np.diag(difference) > 0.01)
-    assert np.array_equal(ours.bias, bare.bias)
-    assert np.array_equal(ours.jacobian, bare.jacobian)
-
-
-def test_potential_energy_falls_with_the_torque_of_gravity(robot, random_states):
-    """At rest the bias is the gradient of the potential energy."""
-    arm = robot("wam4")
-    for s in random_states(arm, 5, 5):
-        h = 1e-5
-        moves = h * np.eye(4)
-        gradient = (arm.potential_energy(s.q + moves) - arm.potential_energy(s.q - moves)) / (2 * h)
-        assert np.max(np.abs(gradient - arm.terms(s.q, np.zeros(4)).bias)) < 1e-8
 
 
 def test_terms_are_read_only_copies(robot):

@@ -1,11 +1,5 @@
 """The tree's kernels as kernels: what they write, what they keep, compiled or not, cached or not."""
 
-import contextlib
-import io
-import os
-import subprocess
-import sys
-
 import numpy as np
 import pytest
 from tree_cases import FIELDS, Own, random_model
@@ -56,74 +50,3 @@ def test_energies_of_many_rows_are_the_same_interpreted_and_compiled():
         potential_energies(own.tree, q, own.work, compiled)
         assert np.array_equal(energies_of_rows(own.tree, q), compiled)
         assert np.ptp(compiled) > 0.0
-
-
-SAMPLE = """
-import numpy as np, robot_models
-from closedloop.mechanics.robot.tree import tree_of, tree_potential_energy, tree_terms, work_size
-from validation.states import random_robot
-drawn = random_robot(3)
-model = robot_models.from_text(drawn.text, "urdf", name="x", armature=drawn.armature, tip="tip", home=drawn.home,
-                               locked={}, gravity=drawn.gravity)
-tree = tree_of(model, "tip")
-n = tree.n
-q, v = np.linspace(-2, 2, n), np.linspace(1, -1, n)
-H, C, J, r, drift = np.zeros((n, n)), np.zeros(n), np.zeros((3, n)), np.zeros(3), np.zeros(3)
-work = np.zeros(work_size(n))
-tree_terms(tree, q, v, work, H, C, (J, r, drift))
-for x in (*H.ravel(), *C, *J.ravel(), *r, *drift, tree_potential_energy(tree, q, work)):
-    print(float(x).hex())
-"""
-
-
-@pytest.mark.slow
-def test_uncompiled_numbers_are_the_same():
-    """With NUMBA_DISABLE_JIT=1 the same lines in plain Python give the same numbers to rounding."""
-    with contextlib.redirect_stdout(io.StringIO()) as said:
-        exec(SAMPLE, {})
-    texts = said.getvalue(), run_python(SAMPLE, NUMBA_DISABLE_JIT="1")
-    ours, plain = (np.array([float.fromhex(x) for x in text.split()]) for text in texts)
-    assert len(ours) > 20
-    assert np.max(np.abs(ours - plain)) <= 1e-15 * np.max(np.abs(ours))
-
-
-CACHED = """
-import numpy as np, robot_models, sys
-sys.path.insert(0, {folder!r})
-import kernel_of_test
-from closedloop.mechanics.robot.tree import tree_of, work_size
-tree = tree_of(robot_models.load("wam4"), "tip")
-drift = kernel_of_test.run(tree, np.ones(4), np.ones(4), np.zeros(work_size(4)), np.zeros((4, 4)), np.zeros(4),
-                           np.zeros((3, 4)), np.zeros(3), np.zeros(3))
-print(sum(kernel_of_test.run.stats.cache_hits.values()), drift)
-"""
-
-
-ENTRY = """
-from closedloop.jit.kernel import entry_kernel
-from closedloop.mechanics.robot.tree import tree_terms
-
-@entry_kernel
-def run(tree, q, v, work, H, C, J, r, drift):
-    tree_terms(tree, q, v, work, H, C, (J, r, drift))
-    return drift[0]
-"""
-
-
-@pytest.mark.slow
-def test_tree_as_an_argument_of_a_cached_entry_kernel(tmp_path):
-    """A compiled function that is handed a `Tree` comes out of the cache in the next process."""
-    (tmp_path / "kernel_of_test.py").write_text(ENTRY)
-    script = CACHED.format(folder=str(tmp_path))
-    first, second = (run_python(script, NUMBA_CACHE_DIR=str(tmp_path / "cache")).split() for _ in range(2))
-    assert (first[0], second[0]) == ("0", "1")
-    assert first[1] == second[1]
-
-
-def run_python(script, **environment):
-    """Return the standard output of a script in a process of its own."""
-    done = subprocess.run(
-        [sys.executable, "-c", script], env={**os.environ, **environment}, capture_output=True, text=True, check=False
-    )
-    assert done.returncode == 0, done.stderr
-    return done.stdout

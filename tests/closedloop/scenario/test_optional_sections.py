@@ -8,7 +8,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import tomli_w
-from budget import budget
+from budget import budget, others
 
 import closedloop as cl
 from closedloop.base.errors import ScenarioError
@@ -125,8 +125,7 @@ OF_SHIPPED_ROBOTS = [
 ]
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", OF_SHIPPED_ROBOTS)
+@pytest.mark.parametrize("name", others(OF_SHIPPED_ROBOTS))
 def test_every_shipped_scenario_runs_without_sections(name):
     """Each of the three sections may be left out, alone and with the others; with the full budget in pairs, too."""
     for gone in (one for k in budget((1, 3), (1, 2, 3)) for one in itertools.combinations(OPTIONAL, k)):

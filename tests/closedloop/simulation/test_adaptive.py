@@ -197,37 +197,6 @@ def test_sampled_law_is_held_between_its_samples():
     assert np.max(np.abs(fixed.q - run.q)) < 1e-9
 
 
-def test_law_of_ones_own_is_the_built_in_one_written_anew():
-    """The paper's law, written in Python, gives the built-in law's run, its switch at 0.5 s included."""
-    scenario = cl.load_scenario(
-        "planar2_slide", {"reference.kind": "hold", "law.pd_start": 0.5, "time.integrator": "dop853"}
-        | {"time.duration": 0.6, "time.step": 0.01, "start.v": [0.24140895, -0.62271412],
-           "stabiliser.kind": "projection"}
-    )  # fmt: skip
-    start, law = np.array(scenario.start.q), scenario.law
-
-    def own(t, q, v, terms):
-        pd = np.array(law.kp) * (q - start) + np.array(law.kd) * v if t >= 0.5 else 0.0
-        return terms.bias - terms.jacobian[2] * law.force - pd
-
-    built_in, written = cl.simulate(scenario), cl.simulate(scenario, law=own)
-    assert np.max(np.abs(built_in.q - written.q)) < 1e-12
-    assert written.contact_force == pytest.approx(built_in.contact_force, abs=1e-8)
-
-
-@pytest.mark.slow
-def test_friction_stops_a_block_where_coulomb_says():
-    """A block at 0.5 m/s under 4 N of friction 0.3 stops after v/(μ f/m) and stays there."""
-    run = cl.simulate(
-        point(**{"start.v": [0.3, 0.4, 0], "law.force": 4.0, "friction.kind": "coulomb", "friction.coefficient": 0.3})
-    )
-    (stop,) = run.events
-    assert stop.kind == "stick"
-    assert abs(stop.time - 0.5 * MASS / (0.3 * 4.0)) < rounding(50, 0.5 * MASS / (0.3 * 4.0))
-    assert within(64, run.q[-1, :2], 0.5 * 0.25 * MASS / 1.2 * np.array([0.6, 0.8]))
-    assert run.mode[-1] == 2
-
-
 @pytest.mark.slow
 def test_friction_holds_a_block_until_the_pull_is_too_strong():
     """A pull of 2 t N tears a block loose that 1.2 N of friction hold, at 0.6 s; then m ẍ = 2 t − 1.2."""

@@ -67,48 +67,6 @@ def test_compiled_code_is_kept_by_the_text_of_its_source():
     assert len(cache_folder().name.removeprefix("closedloop-")) == 16
 
 
-@pytest.mark.slow
-def test_changed_source_gets_another_cache(tmp_path):
-    """A change in any kernel's file, of a comment even, changes the cache: stale compiled code is never used."""
-    code = "from closedloop.jit.cache_folder import cache_folder; print(cache_folder().name)"
-    names = []
-    for comment in ("", "\n# changed\n"):
-        folder = tmp_path / f"copy{len(comment)}"
-        for package in ("closedloop", "robot_models"):
-            for file in [*(ROOT / package).rglob("*.py"), *(ROOT / package).rglob("*.pyi")]:
-                copy = folder / file.relative_to(ROOT)
-                copy.parent.mkdir(parents=True, exist_ok=True)
-                copy.write_bytes(file.read_bytes())
-        solver = folder / "closedloop" / "mechanics" / "closure" / "solve.py"
-        solver.write_text(solver.read_text(encoding="utf-8") + comment, encoding="utf-8")
-        done = subprocess.run([sys.executable, "-c", code], cwd=folder, capture_output=True, text=True, check=True)
-        names.append(done.stdout.strip())
-    assert names[0] == cache_folder().name
-    assert names[1] != names[0]
-
-
-@pytest.mark.slow
-def test_folder_that_cannot_be_written_does_not_stop_a_run(tmp_path):
-    """Where no compiled code can be kept, a kernel is compiled in the process and its caller goes on.
-
-    An impact by itself: it is compiled and called as the step is, in a fiftieth of the time.
-    """
-    blocked = tmp_path / "file"
-    blocked.write_text("in the way")
-    code = (
-        "import numpy as np\n"
-        "from closedloop.mechanics.impact import two_phase_impact\n"
-        "from closedloop.mechanics.impact.single import _impact\n"
-        "print(two_phase_impact(np.eye(3), [-1.0, 0.0, 0.0], 0.5).after[0], len(_impact.signatures))"
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", code], cwd=ROOT, env={**os.environ, "NUMBA_CACHE_DIR": str(blocked / "cache")},
-        capture_output=True, text=True, check=False, timeout=240,
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.split() == ["0.5", "1"]
-
-
 def test_one_step_for_both_engines():
     """What takes long to compile is compiled once: the engines differ in what they call it with."""
     (own,), (_, called) = kernels_of(PINOCCHIO), kernels_of(COMPILED)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from budget import budget
+from budget import budget, others
 
 import closedloop as cl
 import robot_models
@@ -96,14 +96,14 @@ ENGINES = ("compiled", "pinocchio")
 
 
 def from_elsewhere():
-    """Return the scenarios that are started elsewhere, and engines: those above on both, in the slow suite all in turn.
+    """Return the scenarios that are started elsewhere, and engines: those above on both, others in turn.
 
     With the full budget all on both.
     """
     more = [name for name in shipped_scenarios() if name not in FROM_ELSEWHERE]
     slow = [(name, engine) for k, name in enumerate(more) for engine in budget((ENGINES[k % 2],), ENGINES)]
     quick = [(name, engine) for name in FROM_ELSEWHERE for engine in ENGINES]
-    return [*quick, *(pytest.param(*each, marks=pytest.mark.slow) for each in slow)]
+    return [*quick, *others(slow)]
 
 
 @pytest.mark.parametrize(("name", "engine"), from_elsewhere())

@@ -193,21 +193,6 @@ def test_contact_settles_at_the_commanded_force(name, shipped_run):
     assert run.contact_force.min() > 0.0
 
 
-def test_same_scenario_gives_the_same_run(shipped_run):
-    """A run repeated in the same process is the same to the last bit."""
-    run = shipped_run("panda_slide")
-    again = cl.simulate(cl.load_scenario("panda_slide"))
-    for name in run.columns:
-        assert np.array_equal(run.columns[name], again.columns[name]), name
-
-
-def test_longer_run_begins_like_the_shorter():
-    """What happens does not depend on how long the run goes on."""
-    short, long = (cl.simulate(cl.load_scenario("wam_slide", {"time.duration": d})) for d in (0.6, 0.7))
-    for name in short.columns:
-        assert np.array_equal(short.columns[name], long.columns[name][: len(short)]), name
-
-
 def test_progress_is_reported_up_to_the_end():
     """A progress function hears steps that grow from zero up to the number of steps."""
     heard = []

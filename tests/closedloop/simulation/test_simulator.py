@@ -4,7 +4,7 @@ import signal
 
 import numpy as np
 import pytest
-from budget import budget
+from budget import budget, others
 
 import closedloop as cl
 from closedloop.mechanics.closure.conditioning import BATCH
@@ -61,9 +61,9 @@ def test_stepping_is_simulating(name, duration):
     assert_stepped_the_same(cl.load_scenario(name, {"time.duration": duration}), "pinocchio")
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
-    ("name", "engine"), [(name, ("pinocchio", "compiled")[k % 2]) for k, name in enumerate(cl.shipped_scenarios())]
+    ("name", "engine"),
+    others((name, ("pinocchio", "compiled")[k % 2]) for k, name in enumerate(cl.shipped_scenarios())),
 )
 def test_every_shipped_scenario_can_be_stepped(name, engine):
     """The same for every scenario, on the engines in turn; with the full budget to its end."""
@@ -87,7 +87,7 @@ ALIKE = [name for name in cl.shipped_scenarios() if name not in OTHERS and cl.lo
         ("wam_slide", 0.6),
         ("wam_stick_slip", 3.0),
         ("wam_bounce", 0.7),
-        *(pytest.param(name, None, marks=pytest.mark.slow) for name in ALIKE),
+        *others((name, None) for name in ALIKE),
     ],
 )
 def test_torques_from_outside_are_a_sampled_law(name, duration):

@@ -1,7 +1,6 @@
 """A sweep as a process that is killed, and as one on a cluster that loses a worker: the table is the same."""
 
 import os
-import random
 import signal
 import socket
 import threading
@@ -12,18 +11,14 @@ import h5netcdf
 import numpy as np
 import pyarrow as pa
 import pytest
-from budget import budget
 from pyarrow import parquet
-from sweep_runs import Forked, here, process, refusal, sweep
-
-import closedloop as cl
+from sweep_runs import process, refusal, sweep
 
 # 256 runs in 64 parts, a second or two of work; short contacts and impacts, and some runs that are refused.
 ARGUMENTS = (
     "wam_bounce", "--time.duration", "0.4", "--over", "impact.restitution=-0.05:0.8",
     "--over", "surface.gap=0.001:0.02", "--random", "256", "--seed", "5",
 )  # fmt: skip
-KILLS = budget(3, 10)
 
 
 @pytest.fixture(scope="module")
@@ -40,60 +35,6 @@ def uninterrupted(tmp_path_factory):
 def parts(folder: Path) -> set[str]:
     """Return the parts that are there."""
     return {path.name for path in folder.glob("t.parquet.parts/*.arrow")}
-
-
-def kill_after(run, seconds, ready):
-    """Kill a process some seconds after `ready()`, unless it ends before; return whether it was killed."""
-    while run.poll() is None and not ready():
-        time.sleep(0.002)
-    time.sleep(seconds)
-    if run.poll() is None:
-        run.send_signal(signal.SIGKILL)
-    run.communicate()
-    return run.returncode == -signal.SIGKILL
-
-
-@pytest.mark.slow
-def test_killed_again_and_again_the_table_is_the_same(tmp_path, uninterrupted):
-    """kill -9 at random moments, one in five before anything is done: no row is lost, none doubled, none another."""
-    rng = random.Random(11)
-    here("wam_bounce", "--time.duration", "0.01", "--over", "law.force=1:2:16", "--out", tmp_path / "loaded.parquet")
-    (tmp_path / "loaded.parquet").unlink()
-    killed = 0
-    for k in range(KILLS):
-        before = parts(tmp_path)
-        starts = k % 5 == 4
-        run = (process if starts else Forked)(tmp_path, *ARGUMENTS, "--keep", "f", "--out", "t.parquet")
-        if starts:
-            killed += kill_after(run, rng.uniform(0.0, 0.8), lambda: True)
-        else:  # while it writes: by parts, not by the clock, so that a fast machine has not done all before the tenth
-            some = rng.randint(1, 5)
-            killed += kill_after(
-                run, rng.uniform(0.0, 0.005), lambda before=before, some=some: len(parts(tmp_path) - before) >= some
-            )
-        assert before <= parts(tmp_path)
-        assert not (tmp_path / "t.parquet").exists()
-    assert killed == KILLS
-    assert KILLS - KILLS // 5 <= len(parts(tmp_path)) < 64
-    run = Forked(tmp_path, *ARGUMENTS, "--keep", "f", "--out", "t.parquet")
-    out, err = run.communicate(timeout=300)
-    assert run.returncode == 0, err
-    assert "were there before" in out
-    assert (tmp_path / "t.parquet").read_bytes() == (uninterrupted / "t.parquet").read_bytes()
-    with h5netcdf.File(tmp_path / "t.nc") as mine, h5netcdf.File(uninterrupted / "t.nc") as whole:
-        np.testing.assert_array_equal(mine.variables["contact_force"][...], whole.variables["contact_force"][...])
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["t.nc", "t.parquet"]
-
-
-@pytest.mark.slow
-def test_the_killed_sweep_is_the_batch(uninterrupted):
-    """What the processes made is what `simulate_batch` makes of the same values, in order, failures and all."""
-    table = parquet.read_table(uninterrupted / "t.parquet").replace_schema_metadata()
-    keys = ("impact.restitution", "surface.gap")
-    changes = {key: table[key].to_pylist() for key in keys}
-    batch = cl.simulate_batch(cl.load_scenario("wam_bounce", {"time.duration": 0.4}), changes)
-    assert table.equals(batch)
-    assert {"done", "refused"} == set(table["status"].to_pylist())
 
 
 @pytest.fixture(scope="module")

@@ -1,7 +1,6 @@
 """Ctrl-C, SIGTERM and SIGKILL at any moment of a sweep and its joining, and two sweeps at once."""
 
 import random
-import re
 import signal
 import threading
 import time
@@ -19,8 +18,6 @@ from closedloop.studies.sweep.store import Store
 
 # Some tenths of a second of runs, and as long to join: 200 runs of 400 steps in 100 parts, 6 MB of columns.
 ARGUMENTS = ("wam_slide", "--time.duration", "0.4", "--over", "law.force=5:15:200", "--keep", "f,q,v")
-# Some seconds of runs, so short that no loop is compiled for them.
-LONG = ("wam_bounce", "--time.duration", "1", "--over", "law.force=1:5:1500")
 LAST_LINES = {
     signal.SIGINT: (130, "closedloop sweep: interrupted; the same command goes on from here"),
     signal.SIGTERM: (143, "closedloop sweep: terminated; the same command goes on from here"),
@@ -82,17 +79,6 @@ def assert_goes_on_to(folder, whole):
     with h5netcdf.File(folder / "t.nc") as mine, h5netcdf.File(whole / "t.nc") as theirs:
         for name in ("contact_force", "q", "v"):
             np.testing.assert_array_equal(mine.variables[name][...], theirs.variables[name][...])
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_ends_a_sweep_with_one_line(tmp_path, number):
-    """While it runs: exit status 130 or 143, one line, and the parts stay."""
-    run = process(tmp_path, *LONG, "--out", "t.parquet")
-    _, err = send(run, number, tmp_path, 0.0)
-    assert_sound(tmp_path, run.returncode, number, err)
-    assert run.returncode == LAST_LINES[number][0]
-    assert list(tmp_path.glob("t.parquet.parts/*.arrow"))
 
 
 @pytest.mark.slow
@@ -220,25 +206,3 @@ def test_uninterrupted_returns_and_raises():
     assert uninterrupted(lambda done: 3) == 3
     with pytest.raises(ZeroDivisionError):
         uninterrupted(lambda done: 1 / 0)
-
-
-@pytest.mark.slow
-def test_a_second_sweep_to_the_same_file_is_refused(capsys, tmp_path):
-    """While a process is at work, another that would write there, the same sweep or another, gets one line."""
-    out = tmp_path / "t.parquet"
-    first = Forked(tmp_path, *LONG, "--out", "t.parquet")
-    try:
-        while first.poll() is None and not list(tmp_path.glob("t.parquet.parts/*.arrow")):
-            time.sleep(0.002)
-        first.send_signal(signal.SIGSTOP)
-        assert first.poll() is None
-        for more in ((), ("--law.kd", "5")):
-            status, _, err = sweep(capsys, *LONG, *more, "--out", out)
-            assert (status, len(err.splitlines())) == (2, 1)
-            assert re.search("another process is at work on this sweep; wait for it, or end it", err)
-    finally:
-        first.send_signal(signal.SIGKILL)
-        first.communicate()
-    status, _, err = sweep(capsys, *LONG, "--law.kd", "5", "--out", out)  # the lock has died with its process
-    assert status == 2
-    assert "holds another sweep: law." in err

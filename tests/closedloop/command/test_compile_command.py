@@ -88,7 +88,7 @@ def test_help(capsys):
 
 def test_where_nothing_can_be_kept(monkeypatch, capsys):
     """It would be for nothing: exit status 2 and the reason."""
-    monkeypatch.setattr("closedloop.jit.cache_folder.why_not_kept", lambda: "/some/folder: Read-only file system")
+    monkeypatch.setattr("closedloop.command.compile_all.why_not_kept", lambda: "/some/folder: Read-only file system")
     assert main(["compile"]) == 2
     assert capsys.readouterr().err == (
         "closedloop: compiled code cannot be kept: /some/folder: Read-only file system\n"

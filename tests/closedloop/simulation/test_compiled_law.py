@@ -39,7 +39,7 @@ CASES = {
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("case", "law"), zip(CASES, (returning, writing, writing, returning), strict=True))
+@pytest.mark.parametrize(("case", "law"), [*zip(CASES, (returning, writing, writing, returning), strict=True)])
 def test_run_is_that_of_the_same_law_in_python(case, law):
     """The same function in Python and compiled, in either engine and either form: one run, to rounding, events too."""
     scenario = cl.load_scenario(*CASES[case])

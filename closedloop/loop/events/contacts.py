@@ -37,13 +37,7 @@ from closedloop.mechanics.contacts.memory import ContactLinks, Contacts, contact
 from closedloop.mechanics.contacts.modes import open_margin, touches
 from closedloop.mechanics.contacts.rolling import leave_seats
 from closedloop.mechanics.contacts.soft import stored_in
-from closedloop.mechanics.limits import (
-    MAX_RAPID,
-    OFF_SURFACE,
-    STICK_SPEED,
-    STILL,
-    TOUCHING,
-)
+from closedloop.mechanics.limits import MAX_RAPID, OFF_SURFACE, STICK_SPEED, STILL, TOUCHING
 
 
 @kernel

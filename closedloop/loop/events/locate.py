@@ -15,13 +15,7 @@ from closedloop.loop.step.memory import RIGID_STICK, SPRING_STICK, Constants, St
 from closedloop.mechanics.closure.contact_force import FREE, STUCK
 from closedloop.mechanics.friction.answers import LIMIT
 from closedloop.mechanics.friction.law import STILL
-from closedloop.mechanics.limits import (
-    AT_EDGE,
-    CLOSED_GAP,
-    INSTANT,
-    SLIGHT,
-    SMALL,
-)
+from closedloop.mechanics.limits import AT_EDGE, CLOSED_GAP, INSTANT, SLIGHT, SMALL
 
 # What `proceed` returns.
 DONE, TERMS, TABLE_FULL, IMPACT_LAW_WANTED, FAILED = range(5)

@@ -50,14 +50,7 @@ from closedloop.mechanics.friction.answers import LIMIT, SLIDE
 from closedloop.mechanics.friction.answers import STICK as END_OF_SLIP
 from closedloop.mechanics.impact import CUT as ENERGY_CUT
 from closedloop.mechanics.impact import ImpactWork, energy_lost, impact
-from closedloop.mechanics.limits import (
-    FOUND,
-    LEAST_PULL,
-    MAX_IN_STEP,
-    MAX_RAPID,
-    RESTING,
-    TOUCHING,
-)
+from closedloop.mechanics.limits import FOUND, LEAST_PULL, MAX_IN_STEP, MAX_RAPID, RESTING, TOUCHING
 
 
 @kernel

@@ -21,13 +21,7 @@ from closedloop.mechanics.contacts.memory import CONE, DOUBLE, LINE, OFF, RAY, S
 from closedloop.mechanics.contacts.modes import touches
 from closedloop.mechanics.contacts.resistance import form_of_resistance, is_resistance, mode_of_resistance
 from closedloop.mechanics.contacts.unknown_modes import solve_contacts, solve_impulses
-from closedloop.mechanics.limits import (
-    HALVINGS,
-    RESTING,
-    SLOWEST_REBOUND,
-    SMALL,
-    STIFF,
-)
+from closedloop.mechanics.limits import HALVINGS, RESTING, SLOWEST_REBOUND, SMALL, STIFF
 
 # What happened to a contact, as the kinds of `closedloop.loop.events.table`.
 STRUCK_AND_LEFT, STRUCK_AND_STAYED = 1.0, 2.0

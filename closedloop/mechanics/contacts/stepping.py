@@ -44,16 +44,7 @@ from closedloop.mechanics.contacts.memory import INSIDE, ContactLinks, Contacts,
 from closedloop.mechanics.contacts.order import order_joints
 from closedloop.mechanics.contacts.resistance import is_resistance
 from closedloop.mechanics.contacts.soft import force_at, soft_gap
-from closedloop.mechanics.limits import (
-    AHEAD,
-    FOUND,
-    HALVINGS,
-    HOVERING,
-    SLIGHT,
-    STICK_SPEED,
-    STIFF,
-    TENTH,
-)
+from closedloop.mechanics.limits import AHEAD, FOUND, HALVINGS, HOVERING, SLIGHT, STICK_SPEED, STIFF, TENTH
 
 
 @kernel

@@ -7,7 +7,6 @@ from row to row, the adaptive integrator from state to state.
 import time as clock
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import replace
 from functools import partial
 from struct import Struct
 from typing import Any, cast
@@ -315,7 +314,7 @@ class Stepper:
 
     def __init__(self, problem: Problem, engine: str) -> None:
         # A robot of its own: the terms that it has evaluated last are used again.
-        problem = replace(problem, robot=problem.robot.again())
+        problem = problem.with_robot(problem.robot.again())
         self._problem = problem
         self.rows: Array = np.zeros((problem.steps + 1, problem.row_width))
         self._driver = driver = Driver(problem, self.rows, engine)

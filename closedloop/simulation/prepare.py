@@ -335,7 +335,7 @@ OF_GIVEN: dict[str, Maker] = {
 
 def _compiling(s: Any, of: Made) -> None:
     """Have compiled what a run will want; which numbers it has does not matter."""
-    _ = of.entries, of.loop_settings, of.record
+    _ = of.members_called, of.loop_settings, of.record
     have_compiled(s.unwatched, _model_of(of))
 
 
@@ -424,7 +424,9 @@ OF_WHOLE: dict[str, Maker] = {
     "states": lambda s, of: StatesOf.of(s, _model_of(of).n),
     "plain": lambda s, of: not scenario_numbers.calls_any_law(s, _model_of(of)),
     "general": lambda s, of: not of.plain or scenario_numbers.is_no_papers_law(s.law),
-    "entries": lambda s, of: tuple(scenario_numbers.entries_of(s, _model_of(of), of.general, of.joint_law).items()),
+    "members_called": lambda s, of: tuple(
+        scenario_numbers.entries_of(s, _model_of(of), of.general, of.joint_law).items()
+    ),
     "loop_settings": lambda s, of: tuple(scenario_numbers.settings_of(s, _model_of(of)).items()),
     "record": lambda s, of: scenario_numbers.record_of(s, of.states),
     "period": lambda s, of: s.law.sample_period,
@@ -480,9 +482,10 @@ OF_WHOLE: dict[str, Maker] = {
 
 # Those of these that are numbers of the problem as they are.
 NUMBERS = (
-    "robot", "h", "general", "loop_settings", "record", "friction", "compensation", "joint_friction", "compliance",
-    "sensor", "encoder", "transmission", "drives", "stabiliser", "project", "tendons", "stops", "ends", "has_loops",
-    "there", "placed", "forces", "wanted", "pd_start", "law", "mode", "shape",
+    "robot", "h", "general", "members_called", "loop_settings", "record", "friction", "compensation",
+    "joint_friction", "compliance", "sensor", "encoder", "transmission", "drives", "stabiliser", "project",
+    "tendons", "stops", "ends", "has_loops", "there", "placed", "forces", "wanted", "pd_start", "law", "mode",
+    "shape",
 )  # fmt: skip
 _numbers_of = itemgetter(*NUMBERS)
 

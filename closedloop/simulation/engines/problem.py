@@ -5,7 +5,7 @@ first reading of encoders.
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Self
 
 import numpy as np
@@ -236,6 +236,7 @@ class Problem:
     `forces` (P,): the desired force at every row of the table, N.
     `bare_table`: the table but for the force, where it has that of another problem of the same path.
     `general`: whether the law is called by address.
+    `members_called`: what the loop calls by address of the scenario's members, by the names that `State` has for it.
     `loop_settings`: what sections say of the loop beside numbers, see `closedloop.loop.step.memory.Settings`.
     `record`, `row_width`, `row_states`: what its record has, numbers in a row of it, and how many of these are states
         of the law and its compensation, the last.
@@ -282,6 +283,7 @@ class Problem:
     forces: Array
     bare_table: Array
     general: bool
+    members_called: tuple[tuple[str, Any], ...]
     loop_settings: tuple[tuple[str, int], ...]
     record: RecordLayout
     row_width: int
@@ -403,6 +405,12 @@ class Problem:
         vars(made).update(numbers)
         return made
 
+    def with_robot(self, robot: Robot) -> Self:
+        """Return the same problem, with the same table, for another robot of the same model."""
+        made = replace(self, robot=robot)
+        vars(made)["table"] = self.table
+        return made
+
     def with_table(self, table: Array) -> Self:
         """Return the same problem with another table."""
         forces = table[:, Reference.place("force", self.n)]
@@ -427,6 +435,7 @@ class Problem:
 
     def _memory(self, user_law: bool, into: Loop | None) -> Loop:
         """Return the memory without constants, of a problem that notes what is read of it."""
+        _ = self.members_called  # whose addresses `connect` writes: a loop of other members is not this one's
         (law, compensation, surface, joints), (_, sensor, ring, _), _, sizes = self.shape
         n, own = self.n, 0 if user_law else law
         both = 0 if user_law else law + compensation
@@ -507,7 +516,8 @@ class Problem:
 
     def entries(self, user_law: bool = False) -> dict[str, Any]:
         """Return what the loop calls by address, by the names that `State` has for it; see `loop` for `user_law`."""
-        return self.surface.entries() | entries_of(self.scenario, self.robot.model, self.general and not user_law)
+        called = entries_of(self.scenario, self.robot.model, False) if user_law else dict(self.members_called)
+        return self.surface.entries() | called
 
     def believed_entries(self) -> dict[str, Any]:
         """Return what is called of the surface that the controller believes in, by the keys of [belief]."""

@@ -258,7 +258,7 @@ def rows_on(problem: Problem, instant: Instant, rows: int, kick: float = 0.0) ->
     `rows`: how many; less if the run ends or stops before.
     `kick`: added to f_des at the first sample, N.
     """
-    problem = replace(problem, robot=problem.robot.again())
+    problem = problem.with_robot(problem.robot.again())
     record, n = np.zeros((problem.steps + 1, problem.row_width)), problem.robot.n
     driver = Driver(problem, record)
     make_ready(complete_record, collide)
@@ -312,7 +312,7 @@ class Here:
     free: bool = False  # whether it may be in flight
 
     def __post_init__(self) -> None:
-        self.problem = problem = replace(self.problem, robot=self.problem.robot.again())
+        self.problem = problem = self.problem.with_robot(self.problem.robot.again())
         self.row = round(self.instant.time / problem.h)
         self._driver = Driver(problem, np.empty((self.row + 2, problem.row_width)))
         self.loop = loop = self._driver.loop

@@ -296,7 +296,7 @@ def test_a_signal_that_an_import_swallows_comes_again(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("module", "where"), [(simulate, "problem_of"), (loop_calls, "begun"), (loop_calls, "addresses_of")]
+    ("module", "where"), [(simulate, "problem_of"), (loop_calls, "begun"), (loops, "addresses_of")]
 )
 def test_ctrl_c_before_the_first_step_carries_the_run(module, where, monkeypatch):
     """Whenever it comes, what is raised is the interrupted run; before there is a row it has none."""

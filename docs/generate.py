@@ -243,7 +243,7 @@ def directive(name: str) -> Iterator[str]:
         # What a section of a scenario takes stands in the reference of scenarios.
         yield f".. autoclass:: closedloop.{name}{'()' if hasattr(thing, 'model_fields') else ''}"
         if not issubclass(thing, tuple):  # the parts of a tuple stand in its docstring
-            yield from ("   :members:", "   :exclude-members: model_config")
+            yield from ("   :members:", "   :exclude-members: model_config, n")
 
 
 def sentence(text: str) -> str:

@@ -23,6 +23,7 @@ import numpy as np
 import closedloop as cl
 import closedloop.studies.gradient.gradient as whole
 from closedloop.scenario.load import shipped_scenarios
+from closedloop.studies.gradient import differences
 from closedloop.studies.gradient.differences import SIZE_OF_ZERO, Keys, along, difference, samples, slices_of
 from closedloop.studies.gradient.exact import exact, rounded
 
@@ -70,7 +71,7 @@ def outputs_of(run: Any) -> list[Any]:
     found = []
     for name in OUTPUTS:
         with suppress(cl.ClosedLoopError):
-            found.append(whole.output(name, run))
+            found.append(differences.output(name, run))
     return found
 
 
@@ -92,7 +93,7 @@ class Compared:
     """
 
     def __init__(self, scenario: Any, key: str, entries: slice) -> None:
-        self.run, self.keys = whole.simulated(scenario, None), Keys(scenario, [key])
+        self.run, self.keys = differences.simulated(scenario, None), Keys(scenario, [key])
         self._directions = self.keys.directions[entries]
         self.given = self.outputs = outputs_of(self.run)
         found = exact(self.keys, self.run, self._base(), self.outputs, None, lambda *_: None)

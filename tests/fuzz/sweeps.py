@@ -221,7 +221,7 @@ KEPT = (
 
 def parts(count: int, seed: int) -> list[str]:
     """Damage the parts of a killed sweep, and its table when it is done, so many times; return the faults."""
-    import closedloop.studies.sweep.sweep as running
+    import closedloop.studies.sweep.store as running
     from closedloop.base.errors import OutputError
 
     rng, faults = random.Random(seed), []

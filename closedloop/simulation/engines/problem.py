@@ -210,93 +210,60 @@ def as_it_is(entry: Any) -> Any:
 
 @dataclass(frozen=True)
 class Problem:
-    """The numbers of a scenario, everything that the loop needs, and the memory of the simulation loop.
-
-    `robot`, `surface`, `integrator`: the arm with its tip, the surface, the scheme.
-    `believed`: the surface that the controller believes in; None: the true one.
-    `frame` (3, 3): contact frame at t = 0: rows n, t1, t2 in base axes.
-    `q`, `v`, (n,) arrays: state at t = 0.
-    `mode`: contact mode at t = 0, see `closedloop.mechanics.closure.contact_force`.
-    `steps`, `h`: number of steps and the step, s.
-    `stabiliser` (2,): s_v, 1/s, and s_p, 1/s².
-    `pd_start`: instant from which the PD part of the law acts, s.
-    `law`, `compensation`, `friction`, `joint_friction`, `compliance`: the law, its compensation of friction, friction,
-        and the compliance of the surface, as numbers.
-    `sensor`: the force sensor.
-    `nodes`: rows of the table to a step.
-    `project`: whether the state is projected onto the closure after each step.
-    `hold`: steps for which a sampled torque is held; 0: the law is evaluated at every stage.
-    `drives` (2, n): largest torque of each joint, and its largest change from sample to sample, N m; infinite where
-        there is none.
-    `transmission` (5, n): see `closedloop.control.drives.transmission_constants`.
-    `encoder` (k,): the parameters of the encoders.
-    `wanted`: the reference at any instant.
-    `placed`: where the contacts of [[contact]] are; None without any.
-    `tolerance`: relative tolerance of an adaptive integrator; None: the step is fixed.
-    `forces` (P,): the desired force at every row of the table, N.
-    `bare_table`: the table but for the force, where it has that of another problem of the same path.
-    `general`: whether the law is called by address.
-    `members_called`: what the loop calls by address of the scenario's members, by the names that `State` has for it.
-    `loop_settings`: what sections say of the loop beside numbers, see `closedloop.loop.step.memory.Settings`.
-    `record`, `row_width`, `row_states`: what its record has, numbers in a row of it, and how many of these are states
-        of the law and its compensation, the last.
-    `shape`: how many numbers there are of what is called.
-    `there`: the surface for a tip somewhere, see `PlacedSurface.below`.
-    `ends`: where the groups of joints end, see `closedloop.mechanics.robot.tree.group_ends`.
-    `has_loops`: whether the robot has loop joints.
-    `tendons`: the friction along tendons of the robot, and their stops: rows of `robot_models.tendon.rough_tendons`.
-    `stops`: where the joints have hard stops, lower and upper, (n,).
-    `member_digests`: see `closedloop.scenario.user_module.member_digests`.
-    `bare`: the robot's model without what the scenario puts on it.
-    `model_given`: the model that was given in place of that which the scenario names.
-    `spare`: what steps its loop, by engine, where no run uses it: `closedloop.simulation.loop_calls.Driver`.
-    """
+    """The numbers of a scenario, everything that the loop needs, and the memory of the simulation loop."""
 
     scenario: Scenario
-    robot: Robot
+    robot: Robot  # the arm with its tip
     surface: PlacedSurface
-    believed: PlacedSurface | None
-    frame: Array
+    believed: PlacedSurface | None  # the surface that the controller believes in; None: the true one
+    frame: Array  # (3, 3): contact frame at t = 0: rows n, t1, t2 in base axes
     integrator: type[Scheme]
-    q: Array
+    q: Array  # (n,): state at t = 0, with v
     v: Array
-    mode: int
-    steps: int
-    h: float
-    stabiliser: Array
-    pd_start: float
+    mode: int  # contact mode at t = 0, see `closedloop.mechanics.closure.contact_force`
+    steps: int  # how many
+    h: float  # the step, s
+    stabiliser: Array  # (2,): s_v, 1/s, and s_p, 1/s²
+    pd_start: float  # instant from which the PD part of the law acts, s
+    # The members of the scenario as numbers
     law: PackedLaw
     compensation: PackedLaw
     friction: PackedLaw
     joint_friction: PackedLaw
     compliance: PackedLaw
-    sensor: PackedSensor
-    nodes: int
-    project: bool
-    hold: int
+    sensor: PackedSensor  # the force sensor
+    nodes: int  # rows of the table to a step
+    project: bool  # whether the state is projected onto the closure after each step
+    hold: int  # steps for which a sampled torque is held; 0: the law is evaluated at every stage
+    # (2, n): largest torque of each joint, and its largest change from sample to sample, N m; infinite where there is
+    # none
     drives: Array
-    transmission: Array
-    encoder: Array
-    wanted: Desired
-    placed: ContactPlaces | None
-    tolerance: float | None
-    forces: Array
-    bare_table: Array
-    general: bool
+    transmission: Array  # (5, n): see `closedloop.control.drives.transmission_constants`
+    encoder: Array  # (k,): the parameters of the encoders
+    wanted: Desired  # the reference at any instant
+    placed: ContactPlaces | None  # where the contacts of [[contact]] are; None without any
+    tolerance: float | None  # relative tolerance of an adaptive integrator; None: the step is fixed
+    forces: Array  # (P,): the desired force at every row of the table, N
+    bare_table: Array  # the table but for the force, where it has that of another problem of the same path
+    general: bool  # whether the law is called by address
+    # What the loop calls by address of the scenario's members, by the names that `State` has for it
     members_called: tuple[tuple[str, Any], ...]
+    # What sections say of the loop beside numbers, see `closedloop.loop.step.memory.Settings`
     loop_settings: tuple[tuple[str, int], ...]
-    record: RecordLayout
-    row_width: int
-    row_states: int
-    shape: Shape
-    there: PlacedSurface
-    ends: tuple[int, ...]
-    has_loops: bool
+    record: RecordLayout  # what its record has
+    row_width: int  # numbers in a row of it
+    row_states: int  # how many of these, the last, are states of the law and its compensation
+    shape: Shape  # how many numbers there are of what is called
+    there: PlacedSurface  # the surface for a tip somewhere, see `PlacedSurface.below`
+    ends: tuple[int, ...]  # where the groups of joints end, see `closedloop.mechanics.robot.tree.group_ends`
+    has_loops: bool  # whether the robot has loop joints
+    # The friction along tendons of the robot, and their stops: rows of `robot_models.tendon.rough_tendons`
     tendons: Array
-    stops: tuple[Array, Array]
-    member_digests: dict[str, str]
-    bare: RobotModel
-    model_given: RobotModel | None
+    stops: tuple[Array, Array]  # where the joints have hard stops, lower and upper, (n,)
+    member_digests: dict[str, str]  # see `closedloop.scenario.user_module.member_digests`
+    bare: RobotModel  # the robot's model without what the scenario puts on it
+    model_given: RobotModel | None  # the model that was given in place of that which the scenario names
+    # What steps its loop, by engine, where no run uses it: `closedloop.simulation.loop_calls.Driver`
     spare: dict[str, Any]
 
     @property

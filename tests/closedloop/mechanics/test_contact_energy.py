@@ -54,7 +54,7 @@ EVERY = budget([("planar2", FRICTION), ("wam4", {})], list(itertools.product(ARM
 def test_energy_never_grows_by_the_contact(arm, friction):
     """Random drops, with any stabiliser, restitution and law of impact, on a smooth surface and on a rough one."""
     rng, kinds, pressed = np.random.default_rng(1), set(), 0.0
-    for _ in range(budget(8, 40)):
+    for _ in range(budget(15, 40)):
         run = limp_drop(arm, rng, **friction)
         check_energy(run, smooth=not friction)
         kinds |= {event.kind for event in run.events}

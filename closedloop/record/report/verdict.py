@@ -445,5 +445,5 @@ def verdict_of(
 
 def forget_absent(scenario: Scenario, values: Array, own_law: bool = False) -> None:
     """Write NaN for the measures that do not exist."""
-    for name in absent_measures(scenario, own_law):
-        values[list(MEASURES).index(name)] = math.nan
+    absent = {*absent_measures(scenario, own_law)}
+    values[[at for at, name in enumerate(MEASURES) if name in absent]] = math.nan

@@ -296,7 +296,6 @@ def problem_of(scenario: Scenario, model: RobotModel | None, cache: Cache, kept:
     numbers = dict(zip(NUMBERS, _numbers_of(made), strict=True))
     (numbers["integrator"], numbers["tolerance"]), (numbers["steps"], numbers["hold"]) = made["scheme"], made["count"]
     (numbers["q"], numbers["v"]), (numbers["surface"], now, _, numbers["believed"]) = made["start"], made["place"]
-    numbers["row_width"], numbers["row_states"] = made["record"].width, made["record"].row_states
     numbers |= {
         "bare_table": made["table"], "frame": now.frame, "nodes": numbers["integrator"].parts, "scenario": completed,
         "bare": given["bare"], "member_digests": given["member_digests"], "model_given": model, "spare": cache.spare,

@@ -225,7 +225,7 @@ class Problem:
     h: float  # the step, s
     stabiliser: Array  # (2,): s_v, 1/s, and s_p, 1/s²
     pd_start: float  # instant from which the PD part of the law acts, s
-    # The members of the scenario as numbers
+    # The members of the scenario, as numbers.
     law: PackedLaw
     compensation: PackedLaw
     friction: PackedLaw
@@ -251,8 +251,6 @@ class Problem:
     # What sections say of the loop beside numbers, see `closedloop.loop.step.memory.Settings`
     loop_settings: tuple[tuple[str, int], ...]
     record: RecordLayout  # what its record has
-    row_width: int  # numbers in a row of it
-    row_states: int  # how many of these, the last, are states of the law and its compensation
     shape: Shape  # how many numbers there are of what is called
     there: PlacedSurface  # the surface for a tip somewhere, see `PlacedSurface.below`
     ends: tuple[int, ...]  # where the groups of joints end, see `closedloop.mechanics.robot.tree.group_ends`
@@ -301,6 +299,16 @@ class Problem:
     def contact_rows(self) -> ContactRows | None:
         """The rows of the contacts of [[contact]] on the links; None without any."""
         return None if self.placed is None else self.placed.rows
+
+    @property
+    def row_width(self) -> int:
+        """Numbers in a row of the record."""
+        return self.record.width
+
+    @property
+    def row_states(self) -> int:
+        """How many of these, the last, are states of the law and its compensation."""
+        return self.record.row_states
 
     @property
     def n(self) -> int:

@@ -26,8 +26,7 @@ def limit(name: str, value: T, unit: str, reason: str) -> T:
 
 
 # Shares of what is compared.
-EXACT = limit("EXACT", 1e-13, "1", "equations are solved, and energies equal, but for rounding")
-AT_EDGE = limit("AT_EDGE", 1e-12, "1", "what is so near to its limit is at it")
+EXACT = limit("EXACT", 1e-13, "1", "equations are solved, energies equal and forces at their limit, but for rounding")
 DEPENDENT = limit(
     "DEPENDENT", 1e-10, "1", "a row with less beyond the span of others depends on them; a force that is less is none"
 )
@@ -37,9 +36,6 @@ SLIGHT = limit(
     1e-6,
     "1",
     "what is less hardly counts: friction so near to its limit, a tilt, a residual that falls slowly",
-)
-SAME_DIRECTION = limit(
-    "SAME_DIRECTION", 1e-5, "1", "a row that is so near to the span of others has no direction of its own"
 )
 NEAR = limit("NEAR", 1e-4, "1", "near enough where rows hardly differ, and where the tip's mobility is so small")
 SMALL = limit("SMALL", 1e-3, "1", "what is less does not count")
@@ -58,11 +54,9 @@ STICK_SPEED = limit(
     "m/s",
     "a slip that is slower has only begun, or has ended; what the stabiliser may remove; step of a quotient",
 )
-SLOWEST_REBOUND = limit("SLOWEST_REBOUND", 1e-4, "rad/s or m/s", "a rebound from a stop that is slower is none")
 
 # Lengths.
-CLOSED = limit("CLOSED", 2e-15, "m", "an error that is less is rounding of n·r − d; or a rate, m/s")
-CLOSED_GAP = limit("CLOSED_GAP", 1e-13, "m", "a negative gap that is less is rounding, once a contact has been clear")
+CLOSED = limit("CLOSED", 2e-15, "m", "an error or a negative gap that is less is rounding of n·r − d; or a rate, m/s")
 TOUCHING = limit(
     "TOUCHING",
     1e-12,
@@ -70,30 +64,38 @@ TOUCHING = limit(
     "within this gap a contact touches, and a joint is at its stop: rounding of a located touch is 1e-14",
 )
 OFF_SURFACE = limit(
-    "OFF_SURFACE", 1e-10, "m", "a contact that is further off its surface after an event is put onto it"
+    "OFF_SURFACE",
+    1e-10,
+    "m",
+    "a contact further off its surface is put onto it after an event; one that has not been clear touches again",
 )
 HOVERING = limit(
     "HOVERING", 1e-9, "m", "a contact whose gap is less may be about to close; more than the stabiliser leaves"
 )
-SINKING = limit("SINKING", 8e-10, "m", "the depth at which a contact that has parted and not been clear touches again")
 BEYOND_EDGE = limit(
     "BEYOND_EDGE", 1e-8, "m", "what is less beyond an edge, or below a surface beside it, may still touch"
 )
-LEVER = limit("LEVER", 0.1, "m", "how far from its end an edge is for one that the normal leans")
-LEAST_PULL = limit("LEAST_PULL", 1e-9, "N", "a force that pulls by less is rounding")
 
 # Times.
-INSTANT = limit("INSTANT", 1e-14, "s", "an event is located to this; nearer than that to a row it happens at the row")
-RAPID = limit("RAPID", 1e-12, "s", "events that follow each other within this are at one instant")
+INSTANT = limit(
+    "INSTANT",
+    1e-14,
+    "s",
+    "an event is located to this; nearer to a row it happens at the row, nearer to another at the same instant",
+)
 BREAKING_AWAY = limit(
     "BREAKING_AWAY", 1e-9, "s", "in which a slip that begins takes its direction where the integrator chooses its steps"
 )
 TIME_STEP_SPAN = limit("TIME_STEP_SPAN", 2e-5, "s", "length of a step of impulses among modes")
-OWN_STEP = limit("OWN_STEP", 1e-3, "s", "discs see an integrator that chooses its steps as if they were so long")
 
 # Steps that are divided.
 FAST = limit("FAST", 12.5, "rad/s", "a joint that turns faster turns by no more than LARGEST_TURN in a part of a step")
-LARGEST_TURN = limit("LARGEST_TURN", 0.0125, "rad", "so rk4 leaves the energy of what tumbles to 1e-9")
+LARGEST_TURN = limit(
+    "LARGEST_TURN",
+    0.0125,
+    "rad",
+    "so rk4 leaves the energy of what tumbles to 1e-9; a disc is resolved by the time that FAST takes for it",
+)
 QUARTER = limit("QUARTER", 0.25, "1", "of both while contacts are closed; of a step, the last of a slip")
 MOST_GROWTH = limit("MOST_GROWTH", 2.0, "1", "forces that multiply by more, and are HIGH, have a time step begin")
 HIGH = limit("HIGH", 30.0, "1", "as a multiple of the load: near Painlevé's paradox forces have no bound")
@@ -116,9 +118,6 @@ WIDENING = limit("WIDENING", 4.0, "1", "by which ρ grows from round to round, a
 STIFF = limit("STIFF", 1e3, "1", "ρ of the last rounds; impulses so many times those that are asked for are none")
 STIFFEST_RHO = limit("STIFFEST_RHO", 1e4, "1", "ρ along the homotopy, and where rounds lessen the residual slowly")
 WEDGED = limit("WEDGED", 1e6, "1", "forces so many times those that are asked for are none: contacts are wedged")
-AHEAD = limit(
-    "AHEAD", 2.0, "1", "contacts may close in a step that are nearer than so many times what the fastest goes in it"
-)
 
 # Shapes.
 PARALLEL = limit(
@@ -137,14 +136,15 @@ SHARE_DEEPER = limit(
 )
 
 # Counts.
-ITERATIONS = limit("ITERATIONS", 40, "", "of any iteration: what has not converged by then does not")
+ITERATIONS = limit(
+    "ITERATIONS", 40, "", "of any iteration, and of events at one instant: what has not converged by then does not"
+)
 REFINEMENTS = limit(
     "REFINEMENTS", 5, "", "of solutions and their derivatives, and moves of a projection: all converge quickly"
 )
 HALVINGS = limit("HALVINGS", 12, "", "of a step of Newton's method, and of restitution that no impulses give")
 SWEEPS = limit("SWEEPS", 500, "", "of Gauss and Seidel's method over joints with dry friction")
 STEPS = limit("STEPS", (20, 100), "", "of the homotopy from Anitescu's problem, the more where few do not do")
-MAX_RAPID = limit("MAX_RAPID", 20, "", "events at one instant after which a bounce ends in contact")
 MAX_IN_STEP = limit(
     "MAX_IN_STEP", 2000, "", "events in a step after which modes are not sought any more: a bounce at e = 0.99 has 900"
 )

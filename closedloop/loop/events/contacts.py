@@ -37,7 +37,7 @@ from closedloop.mechanics.contacts.memory import ContactLinks, Contacts, contact
 from closedloop.mechanics.contacts.modes import open_margin, touches
 from closedloop.mechanics.contacts.rolling import leave_seats
 from closedloop.mechanics.contacts.soft import stored_in
-from closedloop.mechanics.limits import MAX_RAPID, OFF_SURFACE, STICK_SPEED, STILL, TOUCHING
+from closedloop.mechanics.limits import ITERATIONS, OFF_SURFACE, STICK_SPEED, STILL, TOUCHING
 
 
 @kernel
@@ -58,8 +58,8 @@ def apply_contact_event(w: Work, constants: Constants, state: State, events: Arr
     count_event(w, state)
     leave_edges(w, links, c, state, events)
     state.event.kind = 0
-    links.stepped, links.chattering = 0, 1 if state.event.rapid > MAX_RAPID else 0
-    if too_many_events(state, 2 * MAX_RAPID):
+    links.stepped, links.chattering = 0, 1 if state.event.rapid > ITERATIONS else 0
+    if too_many_events(state, 2 * ITERATIONS):
         state.status, links.chattering = OK, 2
     ask_contacts(state, PLACE)
     if state.striking >= 0:
@@ -172,9 +172,7 @@ def off_surfaces(links: ContactLinks, c: Contacts) -> bool:
         off, open_now = c.located[3 * i], c.mode[i] == FREE
         if open_now and c.past_edge[i] != 0.0:
             continue  # beside its surface, and below its level
-        if c.soft[i] == 0.0 and (
-            (open_now and c.gaps.floor[i] < -OFF_SURFACE) or (not open_now and abs(off) > OFF_SURFACE)
-        ):
+        if c.soft[i] == 0.0 and (c.gaps.floor[i] < -OFF_SURFACE if open_now else abs(off) > OFF_SURFACE):
             least = -1.0
     return bool(least < 0.0)
 

@@ -15,7 +15,7 @@ from closedloop.loop.step.memory import RIGID_STICK, SPRING_STICK, Constants, St
 from closedloop.mechanics.closure.contact_force import FREE, STUCK
 from closedloop.mechanics.friction.answers import LIMIT
 from closedloop.mechanics.friction.law import STILL
-from closedloop.mechanics.limits import AT_EDGE, CLOSED_GAP, INSTANT, SLIGHT, SMALL
+from closedloop.mechanics.limits import CLOSED, EXACT, INSTANT, SLIGHT, SMALL
 
 # What `proceed` returns.
 DONE, TERMS, TABLE_FULL, IMPACT_LAW_WANTED, FAILED = range(5)
@@ -93,7 +93,7 @@ def cone_margin(w: Work, state: State) -> float:
     call_at(state.friction.entry, state.address, LIMIT)
     limit = w.friction.stick_limit * abs(w.tip.F[0])
     if state.friction.sticking == SPRING_STICK:
-        limit += AT_EDGE * limit
+        limit += EXACT * limit
     return float(limit - np.hypot(w.tip.F[1], w.tip.F[2]))
 
 
@@ -146,7 +146,7 @@ def refine_bracket(w: Work, state: State) -> int:
             w.search.tau = w.length
             return RETRY_SUBSTEP
     if state.trial.purpose == LOCATE_MINIMUM:
-        if w.tip.gap < -CLOSED_GAP:  # the tip penetrates: locate the crossing before
+        if w.tip.gap < -CLOSED:  # the tip penetrates: locate the crossing before
             state.trial.purpose = LOCATE_EVENT
             w.search.low, w.search.at_low = 0.0, max(w.start.gap, 0.0)
         else:

@@ -42,7 +42,7 @@ from closedloop.mechanics.contacts.memory import contacts_at
 from closedloop.mechanics.contacts.rolling import shapes_at, some_stand
 from closedloop.mechanics.friction.answers import ADVANCE_STATES
 from closedloop.mechanics.limits import (
-    CLOSED_GAP,
+    CLOSED,
     FAST,
     HIGH,
     HOVERING,
@@ -51,7 +51,6 @@ from closedloop.mechanics.limits import (
     MAX_IN_STEP,
     MOST_GROWTH,
     QUARTER,
-    RAPID,
     RESTING,
     TOUCHING,
 )
@@ -233,9 +232,9 @@ def resume_step(w: Work, constants: Constants, state: State) -> int:
 
 @kernel
 def count_event(w: Work, state: State) -> None:
-    """Count an event of this step, and those in a row within `RAPID` of each other."""
+    """Count an event of this step, and those in a row within `INSTANT` of each other."""
     state.event.in_step += 1
-    if w.time - w.last_event > RAPID:
+    if w.time - w.last_event > INSTANT:
         state.event.rapid = 0
     else:
         state.event.rapid += 1
@@ -310,7 +309,7 @@ def check_step(w: Work, drift: float, state: State) -> int:
         elif here:
             if w.tip.gap <= TOUCHING and w.tip.rate < -RESTING:
                 trial = REACH_EVENT
-        elif w.tip.gap < -(CLOSED_GAP if state.cleared != 0 else leaving):
+        elif w.tip.gap < -(CLOSED if state.cleared != 0 else leaving):
             trial = LOCATE_EVENT
         elif state.cleared != 0 and w.start.rate < -RESTING and w.tip.rate > 0.0:
             trial = LOCATE_MINIMUM  # down and up again: locate the lowest point

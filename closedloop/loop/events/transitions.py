@@ -50,7 +50,7 @@ from closedloop.mechanics.friction.answers import LIMIT, SLIDE
 from closedloop.mechanics.friction.answers import STICK as END_OF_SLIP
 from closedloop.mechanics.impact import CUT as ENERGY_CUT
 from closedloop.mechanics.impact import ImpactWork, energy_lost, impact
-from closedloop.mechanics.limits import FOUND, LEAST_PULL, MAX_IN_STEP, MAX_RAPID, RESTING, TOUCHING
+from closedloop.mechanics.limits import FOUND, ITERATIONS, MAX_IN_STEP, RESTING, TOUCHING
 
 
 @kernel
@@ -129,7 +129,7 @@ def strike_surface(S: Array, mu: float, rest_speed: float, w: Work, constants: C
 
     If the rebound is slower than `rest_speed`, m/s, the tip stays in contact.
     """
-    bounces = state.event.rapid <= MAX_RAPID
+    bounces = state.event.rapid <= ITERATIONS
     state.event.kind, w.impact.discarded_rebound, w.impact.restitution_given = (
         IMPACT if bounces else TOUCHDOWN,
         0.0,
@@ -173,7 +173,7 @@ def resume_after_event(C: Array, w: Work, constants: Constants, state: State, ev
             make_contact(w, constants, state, np.hypot(w.tip.u[1], w.tip.u[2]))
             state.event.rows -= 1
             state.event.in_step += 1
-            if too_many_events(state, MAX_RAPID):
+            if too_many_events(state, ITERATIONS):
                 return FAIL
             request_terms(state, AFTER_EVENT)
             return NEED_TERMS
@@ -199,7 +199,7 @@ def apply_event(H: Array, w: Work, constants: Constants, state: State, rows: Arr
         request_terms(state, AFTER_EVENT)
         return NEED_TERMS
     count_event(w, state)
-    if too_many_events(state, MAX_RAPID if state.mode != FREE else MAX_IN_STEP):
+    if too_many_events(state, ITERATIONS if state.mode != FREE else MAX_IN_STEP):
         return FAIL
     if state.mode == FREE:
         state.status = factorise_tip(H, w, constants, state)
@@ -282,7 +282,7 @@ def end_stick_or_slip(w: Work, constants: Constants, state: State, rows: Array, 
                 held = stuck_force(w.tip.S, w.tip.a, w.tip.b, w.tip.F, w.tip.stabiliser_force)
             size = np.hypot(w.tip.F[1], w.tip.F[2])
             call_at(state.friction.entry, state.address, LIMIT)
-            pulls = state.settings.unilateral != 0 and w.tip.F[0] < -LEAST_PULL
+            pulls = state.settings.unilateral != 0 and w.tip.F[0] < 0.0
             if held == OK and slow and not pulls and size <= w.friction.stick_limit * abs(w.tip.F[0]):
                 state.mode, state.event.kind = STUCK, STICK
                 set_anchor(w, state)

@@ -32,7 +32,7 @@ from closedloop.mechanics.contacts.rolling import (
     shapes_at,
 )
 from closedloop.mechanics.contacts.soft import write_soft_forces
-from closedloop.mechanics.limits import OWN_STEP
+from closedloop.mechanics.limits import FAST, LARGEST_TURN
 from closedloop.mechanics.loops.memory import ROWS, LoopRows, loops_at, tree_at
 from closedloop.mechanics.loops.rows import ALONG, POINT, locate_rows, move_point, turn_direction
 from closedloop.mechanics.loops.solve import leave_free
@@ -139,7 +139,7 @@ def take_rows(links: ContactLinks, c: Contacts, rows: LoopRows, i: int) -> None:
 @kernel
 def resolution(constants: Constants, state: State) -> float:
     """Return the length of a step, s, that discs which lie nearly flat are resolved by."""
-    return OWN_STEP if state.settings.adaptive != 0 else constants.h
+    return LARGEST_TURN / FAST if state.settings.adaptive != 0 else constants.h
 
 
 @kernel

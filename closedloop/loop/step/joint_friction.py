@@ -48,7 +48,7 @@ from closedloop.mechanics.contacts.memory import contacts_at
 from closedloop.mechanics.friction.answers import ADVANCE_STATES, LIMIT, SLIDE
 from closedloop.mechanics.friction.answers import STICK as END_OF_SLIP
 from closedloop.mechanics.friction.law import AT_REST
-from closedloop.mechanics.limits import AT_EDGE, EXACT, ITERATIONS, SWEEPS
+from closedloop.mechanics.limits import EXACT, ITERATIONS, SWEEPS
 from robot_models.tendon import DAMPING
 
 
@@ -153,7 +153,7 @@ def hold_joints(w: Work, constants: Constants, state: State) -> bool:
         answer = row_of(w.joint_friction.gain, r)
         accelerate(w.L, w.tip.X, y, F, answer, integers_at(state.addresses.group_ends, state.n))
         own = rate_along(constants, r, answer)
-        if own > AT_EDGE * alone:
+        if own > EXACT * alone:
             w.joint_friction.mobility[r] = own
     for _ in range(SWEEPS if some else 0):
         change = 0.0
@@ -268,7 +268,7 @@ def share_friction(w: Work, constants: Constants, state: State) -> None:
 def in_cone(w: Work, change: Array) -> bool:
     """Return whether F with this change is in the cone of friction of a tip that sticks."""
     size = math.hypot(w.tip.F[1] + change[1], w.tip.F[2] + change[2])
-    return bool(size <= (1.0 - AT_EDGE) * w.friction.stick_limit * (w.tip.F[0] + change[0]))
+    return bool(size <= (1.0 - EXACT) * w.friction.stick_limit * (w.tip.F[0] + change[0]))
 
 
 @kernel

@@ -297,7 +297,7 @@ class EventCount(Block):
 
     rows: int  # written of the table of events
     in_step: int  # less what rows took off, see `closedloop.loop.events.locate.OUTPACED`
-    rapid: int  # events in a row within `RAPID` of each other
+    rapid: int  # events in a row within `INSTANT` of each other
     kind: int  # of the event
 
 

@@ -59,7 +59,7 @@ from closedloop.mechanics.closure.contact_force import (
 )
 from closedloop.mechanics.closure.solve import OK, PAINLEVE, PUSHED, SINGULAR, SINGULAR_MOBILITY, forward_substitute
 from closedloop.mechanics.contacts.soft import AS_FORCE
-from closedloop.mechanics.limits import AT_EDGE, ITERATIONS, NEAR, SMALL
+from closedloop.mechanics.limits import EXACT, ITERATIONS, NEAR, SMALL
 from closedloop.mechanics.surface.surface import POINTS, WEIGHTS, Compliance
 from robot_models.cached import cached
 
@@ -361,7 +361,7 @@ def slide_slowly(b: float, share: float, w: Work, h: float) -> tuple[int, float]
         if not turn_with_slip(w, h):
             break
         status, share = pressed_force(w.tip.S, w.tip.a, b, w.friction.c, w.friction.viscous, w.tip.F)
-        if status != OK or abs(w.tip.F[0] - before) <= AT_EDGE * abs(before):
+        if status != OK or abs(w.tip.F[0] - before) <= EXACT * abs(before):
             break
     return status, share
 

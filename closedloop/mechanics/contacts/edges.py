@@ -25,7 +25,7 @@ from closedloop.mechanics.closure.contact_force import FREE
 from closedloop.mechanics.contacts.memory import Contacts
 from closedloop.mechanics.contacts.rolling import EDGE, EDGE_2, OF_EDGE_2, Shapes, turn_against
 from closedloop.mechanics.contacts.sections import ContactSection
-from closedloop.mechanics.limits import BEYOND_EDGE, LEVER, PARALLEL
+from closedloop.mechanics.limits import BEYOND_EDGE, PARALLEL
 from closedloop.mechanics.loops.memory import NOTHING, LoopLinks, LoopRows, tree_at
 from closedloop.mechanics.loops.rows import carry_direction, locate_point
 
@@ -95,7 +95,7 @@ def inside_end(length: float, s: float, e: Array, side1: Array, side2: Array, n0
     out1, out2 = dot(side1, n0, n1, n2), dot(side2, n0, n1, n2)
     leaves = math.copysign(1.0, s) * dot(side2 if out1 >= out2 else side1, e[0], e[1], e[2])
     inside += BEYOND_EDGE if leaves >= 0.0 else -BEYOND_EDGE
-    return float(min(inside, LEVER * (out1 + PARALLEL), LEVER * (out2 + PARALLEL)))
+    return float(min(inside, out1 + PARALLEL, out2 + PARALLEL))
 
 
 @kernel_inlined

@@ -34,7 +34,7 @@ from closedloop.mechanics.friction.contact import Contact
 from closedloop.mechanics.friction.law import Slip, SurfaceFriction, length_of
 from closedloop.mechanics.friction.laws.coulomb import SurfaceCoulomb
 from closedloop.mechanics.friction.laws.none import NoFriction
-from closedloop.mechanics.limits import AT_EDGE, STILL
+from closedloop.mechanics.limits import EXACT, STILL
 from robot_models.cached import cached
 
 STICKING = {"rigid": RIGID_STICK, "elastic": ELASTIC_STICK, "spring": SPRING_STICK}
@@ -174,7 +174,7 @@ def stops_slipping(c: Contacts, i: int) -> bool:
 @kernel
 def cone_limit(c: Contacts, i: int) -> float:
     """Return the largest |F_t|/f that contact i holds while it sticks."""
-    return float(c.friction.limit[i] * (1.0 + AT_EDGE) if c.friction.sticks[i] == SPRING_STICK else c.mu[i])
+    return float(c.friction.limit[i] * (1.0 + EXACT) if c.friction.sticks[i] == SPRING_STICK else c.mu[i])
 
 
 @kernel

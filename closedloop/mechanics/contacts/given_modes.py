@@ -49,13 +49,12 @@ from closedloop.mechanics.contacts.resistance import (
 )
 from closedloop.mechanics.contacts.soft import write_shared
 from closedloop.mechanics.limits import (
-    AT_EDGE,
     DEPENDENT,
     EXACT,
     FOUND,
     MOST_GROWTH,
+    NEAR,
     REFINEMENTS,
-    SAME_DIRECTION,
     SLIGHT,
     SMALL,
     STICK_SPEED,
@@ -200,7 +199,7 @@ def write_rows(c: Contacts, p: int) -> None:
     for q in range(p):
         for j in range(n):
             g.basis[q, j] = g.R[q, j] if g.first[q] <= j < g.end[q] else 0.0
-    g.rank = orthonormal_basis(g.basis, p, n, SAME_DIRECTION)
+    g.rank = orthonormal_basis(g.basis, p, n, NEAR)
     for q in range(p):
         along_basis(g, row_of(g.R, q), int(g.first[q]), int(g.end[q]))
         along_basis(g, row_of(g.C, q), int(g.first[q]), int(g.end[q]))
@@ -497,7 +496,7 @@ def pulled_in(c: Contacts, i: int) -> bool:
         for j in range(first, end if turns_with(c, s) else first):
             turned = c.X[3 * s + 1, j] * c.problem.along[s, 0] + c.X[3 * s + 2, j] * c.problem.along[s, 1]
             own -= row[j] * turned
-    return bool(c.problem.form[i] == RAY and not own > AT_EDGE * (S[0, 0] + S[1, 1] + S[2, 2]))
+    return bool(c.problem.form[i] == RAY and not own > EXACT * (S[0, 0] + S[1, 1] + S[2, 2]))
 
 
 @kernel

@@ -21,7 +21,7 @@ from closedloop.mechanics.contacts.memory import CONE, DOUBLE, LINE, OFF, RAY, S
 from closedloop.mechanics.contacts.modes import touches
 from closedloop.mechanics.contacts.resistance import form_of_resistance, is_resistance, mode_of_resistance
 from closedloop.mechanics.contacts.unknown_modes import solve_contacts, solve_impulses
-from closedloop.mechanics.limits import HALVINGS, RESTING, SLOWEST_REBOUND, SMALL, STIFF
+from closedloop.mechanics.limits import HALVINGS, RESTING, SMALL, STIFF
 
 # What happened to a contact, as the kinds of `closedloop.loop.events.table`.
 STRUCK_AND_LEFT, STRUCK_AND_STAYED = 1.0, 2.0
@@ -71,7 +71,7 @@ def apply_impulses(links: ContactLinks, c: Contacts, rest_speed: float) -> int:
         if is_resistance(c, i):
             c.mode[i] = mode_of_resistance(c, i)
             continue
-        parts = c.problem.after[3 * i] > 0.5 * slowest_rebound(links, c, i, rest_speed)
+        parts = c.problem.after[3 * i] > 0.5 * own_rest_speed(c, i, rest_speed)
         if c.event.struck[i] != 0.0:
             c.event.happened[i] = STRUCK_AND_LEFT if parts else STRUCK_AND_STAYED
         if parts:
@@ -147,7 +147,7 @@ def solve_with(links: ContactLinks, c: Contacts, share: float, rest_speed: float
         c.problem.q[i] = c.before[i]
     for i in range(k):
         bounce = -share * c.restitution[i] * c.before[3 * i]
-        if c.event.struck[i] != 0.0 and links.chattering == 0 and bounce >= slowest_rebound(links, c, i, rest_speed):
+        if c.event.struck[i] != 0.0 and links.chattering == 0 and bounce >= own_rest_speed(c, i, rest_speed):
             c.problem.q[3 * i] -= bounce
     if share > 0.0:
         found = solve_contacts(links, c, 0.0, STIFF)
@@ -158,12 +158,6 @@ def solve_with(links: ContactLinks, c: Contacts, share: float, rest_speed: float
 
 
 @kernel
-def slowest_rebound(links: ContactLinks, c: Contacts, i: int, rest_speed: float) -> float:
-    """Return the speed below which contact i does not rebound: its own, m/s, or that of stops, rad/s (m/s)."""
-    return SLOWEST_REBOUND if i >= links.points else own_rest_speed(c, i, rest_speed)
-
-
-@kernel
 def own_rest_speed(c: Contacts, i: int, rest_speed: float) -> float:
-    """Return the speed below which contact i is at rest, m/s: `rest_speed` where it has none of its own."""
+    """Return the speed below which contact i is at rest, m/s (rad/s): `rest_speed` where it has none of its own."""
     return float(c.rest_speed[i] if c.rest_speed[i] > 0.0 else rest_speed)

@@ -29,12 +29,12 @@ from closedloop.mechanics.contacts.soft import soft_gap, write_shared
 from closedloop.mechanics.contacts.unknown_modes import solve_contacts
 from closedloop.mechanics.limits import (
     BEYOND_EDGE,
-    CLOSED_GAP,
+    CLOSED,
     DEPENDENT,
     FOUND,
     HOVERING,
+    OFF_SURFACE,
     RESTING,
-    SINKING,
     STICK_SPEED,
     TOUCHING,
     WEDGED,
@@ -73,8 +73,8 @@ def open_margin(c: Contacts, i: int, depth: float = 0.0) -> float:
         back = c.located[3 * i] >= -BEYOND_EDGE and c.inside[i] < math.inf
         return float(HOVERING - c.inside[i]) if back else math.inf
     if c.gaps.cleared[i] != 0.0:
-        return float(c.located[3 * i] - c.gaps.floor[i] + CLOSED_GAP)
-    return float(c.located[3 * i] - depth - min(-SINKING, c.gaps.floor[i] - CLOSED_GAP))
+        return float(c.located[3 * i] - c.gaps.floor[i] + CLOSED)
+    return float(c.located[3 * i] - depth - min(-OFF_SURFACE, c.gaps.floor[i] - CLOSED))
 
 
 @kernel

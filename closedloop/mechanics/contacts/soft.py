@@ -36,7 +36,7 @@ from closedloop.mechanics.contacts.memory import LINE, OFF, RAY, SPRING_STICK, C
 from closedloop.mechanics.contacts.mobility import added
 from closedloop.mechanics.contacts.sections import ContactSection
 from closedloop.mechanics.contacts.surfaces import Called
-from closedloop.mechanics.limits import AT_EDGE, SMALL, STICK_SPEED
+from closedloop.mechanics.limits import EXACT, SMALL, STICK_SPEED
 from closedloop.mechanics.loops.solve import orthonormal_basis
 from closedloop.mechanics.surface.surface import POINTS, WEIGHTS, Compliance
 from robot_models.cached import cached
@@ -219,7 +219,7 @@ def let_friction_rise(c: Contacts, k: int) -> None:
 def rests(c: Contacts, i: int) -> bool:
     """Whether contact i sticks, or as a soft one beside others is held by less than its friction can."""
     size, most = math.hypot(c.F[3 * i + 1], c.F[3 * i + 2]), c.friction.shared[i] * abs(c.F[3 * i])
-    return bool(c.mode[i] == STUCK or size < (1.0 - AT_EDGE) * most)
+    return bool(c.mode[i] == STUCK or size < (1.0 - EXACT) * most)
 
 
 @kernel

@@ -44,19 +44,19 @@ from closedloop.mechanics.contacts.memory import INSIDE, ContactLinks, Contacts,
 from closedloop.mechanics.contacts.order import order_joints
 from closedloop.mechanics.contacts.resistance import is_resistance
 from closedloop.mechanics.contacts.soft import force_at, soft_gap
-from closedloop.mechanics.limits import AHEAD, FOUND, HALVINGS, HOVERING, SLIGHT, STICK_SPEED, STIFF, TENTH
+from closedloop.mechanics.limits import FOUND, HALVINGS, HOVERING, SLIGHT, STICK_SPEED, STIFF, TENTH
 
 
 @kernel
 def look_ahead(c: Contacts, k: int, h: float, first: bool) -> None:
     """Write the gap within which contacts take part in a step of h, s, by the velocities of the step before.
 
-    In the first step there are none yet, and all take part.
+    Two contacts may come towards each other. In the first step there are no velocities yet, and all take part.
     """
     fastest = 0.0
     for i in range(3 * k):
         fastest = max(fastest, abs(c.u[i]))
-    c.step.reach = math.inf if first else HOVERING + AHEAD * h * (fastest + c.stepping.gained)
+    c.step.reach = math.inf if first else HOVERING + 2.0 * h * (fastest + c.stepping.gained)
 
 
 @kernel

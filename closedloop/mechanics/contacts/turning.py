@@ -43,15 +43,15 @@ from closedloop.mechanics.contacts.packed import pack_contacts, unpack_contacts
 from closedloop.mechanics.contacts.resistance import is_resistance
 from closedloop.mechanics.contacts.soft import drop_contradictions, shared_friction, some_share
 from closedloop.mechanics.limits import (
-    AT_EDGE,
     DEPENDENT,
+    EXACT,
     FIRST_RHO,
     FOUND,
     HIGH,
     HOVERING,
     ITERATIONS,
+    NEAR,
     REFINEMENTS,
-    SAME_DIRECTION,
     STICK_SPEED,
     STIFF,
     STILL,
@@ -123,9 +123,9 @@ def write_bound(c: Contacts, k: int) -> None:
     for i in range(k if p > 0 else 0):
         if c.problem.form[i] not in (RAY, LINE) or math.hypot(c.u[3 * i + 1], c.u[3 * i + 2]) > STILL:
             continue
-        rank = orthonormal_basis(basis, p, n, SAME_DIRECTION) if rank < 0 else rank
+        rank = orthonormal_basis(basis, p, n, NEAR) if rank < 0 else rank
         first, end = joints_of(c, i)
-        row, left, least = c.scratch.sum, 0.0, SAME_DIRECTION * SAME_DIRECTION
+        row, left, least = c.scratch.sum, 0.0, NEAR * NEAR
         for r in range(3 * i + 1, 3 * i + 3):
             for j in range(n):
                 row[j] = c.X[r, j] if first <= j < end else 0.0
@@ -401,12 +401,12 @@ def shorten(links: ContactLinks, c: Contacts, k: int, h: float) -> float:
     if not at_high >= 0.0:
         return 0.0 * low
     rate, side = high, 0
-    for _ in range(ITERATIONS if at_high > AT_EDGE else 0):  # the method of Illinois
+    for _ in range(ITERATIONS if at_high > EXACT else 0):  # the method of Illinois
         rate = (low * at_high - high * at_low) / (at_high - at_low)
         if not solve_within(links, c, k, rate):
             return 0.0 * low
         now = left_of_slips(c, k)
-        if abs(now) <= AT_EDGE or high - low <= AT_EDGE * high:
+        if abs(now) <= EXACT or high - low <= EXACT * high:
             break
         if now < 0.0:
             low, at_low, at_high, side = rate, now, at_high * (0.5 if side < 0 else 1.0), -1

@@ -52,7 +52,7 @@ from closedloop.mechanics.impact.begin import (
     to_extremum,
     value,
 )
-from closedloop.mechanics.limits import AT_EDGE, EXACT, FOUND
+from closedloop.mechanics.limits import EXACT, FOUND
 
 # An approach, m/s, or a restitution below this is none: its square, in the work, would underflow.
 TINY = 1e-150
@@ -165,7 +165,7 @@ def _collide(
         if kind == TURNING:
             end = GOES_ON
             length = to_extremum(S, mu, length, c)
-        elif c.un[1] > AT_EDGE * S[0, 0]:
+        elif c.un[1] > EXACT * S[0, 0]:
             enough = _enough(compressing, law, rebound, owed, c)
             if enough < length:
                 length, end = enough, GOES_ON

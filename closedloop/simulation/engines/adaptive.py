@@ -45,7 +45,7 @@ from closedloop.loop.step.record_row import complete_record, rows_there
 from closedloop.mechanics.closure.contact_force import FREE, PRESSED
 from closedloop.mechanics.closure.solve import OK
 from closedloop.mechanics.contacts.friction import stops_slipping
-from closedloop.mechanics.limits import BREAKING_AWAY, CLOSED_GAP, INSTANT, OUTPACED, STICK_SPEED
+from closedloop.mechanics.limits import BREAKING_AWAY, CLOSED, INSTANT, OUTPACED, STICK_SPEED
 from closedloop.simulation.engines.adaptive_parts import Interval, Memory, Stopped, first_crossing, interval_from, jumps
 from closedloop.simulation.engines.failures import failure_of, interrupted, when
 from closedloop.simulation.engines.problem import Problem
@@ -342,7 +342,7 @@ class AdaptiveRun:
             return at
 
         # After liftoff the gap grows with the cube of time at first, no faster than the error.
-        leaving, closes = max(CLOSED_GAP, 10.0 * self.tolerance), None
+        leaving, closes = max(CLOSED, 10.0 * self.tolerance), None
         if state.contacts.entry != 0 and state.coupled == 0:
             closes = first_crossing(value("contacts.margin"), length)
             length = length if closes is None else closes
@@ -350,7 +350,7 @@ class AdaptiveRun:
             event = first_crossing(value("search.value"), length)
             return closes if event is None else event
         event = first_crossing(
-            value("search.value"), length, CLOSED_GAP if state.cleared != 0 else leaving, value("tip.rate")
+            value("search.value"), length, CLOSED if state.cleared != 0 else leaving, value("tip.rate")
         )
         if event is None and value("search.value")(length) > leaving:
             state.cleared = 1

@@ -38,7 +38,7 @@ from closedloop.mechanics.friction.law import SurfaceFriction
 from closedloop.mechanics.friction.laws.coulomb import SurfaceCoulomb
 from closedloop.mechanics.friction.laws.none import NoFriction
 from closedloop.mechanics.integrators import steps_impulses
-from closedloop.mechanics.limits import CLOSED_GAP, HOVERING
+from closedloop.mechanics.limits import CLOSED, HOVERING
 from closedloop.mechanics.loops.bind import link_poses
 from closedloop.mechanics.loops.boxes import MOST_POINTS
 from closedloop.mechanics.loops.memory import BOXES, POSITION, ROWS, Bound, LoopMemory, bound_points, make_loop_memory
@@ -276,7 +276,7 @@ def stops_at_start(memory: ContactMemory, constants: Constants, q: Array, v: Arr
         if min(low, high) <= HOVERING:
             moves_on = (rate if low <= high else -rate) < 0.0
             if moves_on:
-                c.gaps.cleared[i], c.gaps.floor[i] = 1.0, min(low, high) + 2.0 * CLOSED_GAP
+                c.gaps.cleared[i], c.gaps.floor[i] = 1.0, min(low, high) + 2.0 * CLOSED
             held = held or not moves_on
     return held
 

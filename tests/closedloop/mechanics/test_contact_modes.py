@@ -29,14 +29,7 @@ from closedloop.mechanics.contacts.modes import (
     mode_after,
 )
 from closedloop.mechanics.contacts.time_step import TANGENTIAL_IMPACT, TIME_STEP, begin_time_step
-from closedloop.mechanics.limits import (
-    BEYOND_EDGE,
-    CLOSED_GAP,
-    HOVERING,
-    SINKING,
-    STICK_SPEED,
-    TIME_STEP_SPAN,
-)
+from closedloop.mechanics.limits import BEYOND_EDGE, CLOSED, HOVERING, OFF_SURFACE, STICK_SPEED, TIME_STEP_SPAN
 
 NOTHING = 1e-9
 
@@ -274,8 +267,8 @@ def test_the_margin_of_contacts_is_what_is_left_of_their_modes(memory):
     c.located[0], c.problem.rounding, c.direction[1] = 100.0, 1e-9, [0.6, 0.8]
     c.mode[1], c.located[3] = FREE, 1e-9
     for risen, floor, touches_at in (
-        (0.0, 0.0, -SINKING), (0.0, -5e-10, -SINKING), (0.0, -SINKING, -SINKING - CLOSED_GAP),
-        (1.0, 0.0, -CLOSED_GAP), (1.0, -5e-10, -5e-10 - CLOSED_GAP),
+        (0.0, 0.0, -OFF_SURFACE), (0.0, -5e-11, -OFF_SURFACE), (0.0, -OFF_SURFACE, -OFF_SURFACE - CLOSED),
+        (1.0, 0.0, -CLOSED), (1.0, -5e-11, -5e-11 - CLOSED),
     ):  # fmt: skip
         c.gaps.cleared[1], c.gaps.floor[1] = risen, floor
         assert margin(memory.links, c, 2, slow, 0.0, 1e-3) == pytest.approx(1e-9 - touches_at, rel=1e-14)

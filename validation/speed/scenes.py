@@ -12,16 +12,19 @@ most of its steps have one contact or none.
 
 Many contacts, by time stepping: stacks, dominoes, a can, a bin of boxes.
 
-Robots that are put down, by time stepping: a car that coasts on four cylinders, and the quadruped that ships, with
-springs and dampers in its joints and a ball beside it. Both engines read one MJCF file.
+Robots that are put down, by time stepping: a car that coasts on four cylinders; the quadruped that ships, with a ball
+beside it; and Unitree's G1 of example-robot-data, on the four balls of each foot, from 20 mm. The legged ones have
+springs and dampers in their joints. Both engines read one MJCF file.
 """
 
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
+import example_robot_data
 import numba
 import numpy as np
 
@@ -37,8 +40,9 @@ CUBE, TOWERS = "cube_toss", ("tower_2", "tower_5", "tower_10")
 BOXES = ("box_slides", "box_stands")
 SLIDES, STANDS = BOXES
 STACKS = ("stack_3", "dominoes", "can", "bin_4", "bin_8", "bin_20")
-ROBOTS = ("car", "quadruped")
+ROBOTS = ("car", "quadruped", "humanoid")
 SCENES = (*BOXES, CUBE, *TOWERS, *STACKS, *ROBOTS)
+G1 = "g1_description/urdf/g1_29dof_rev_1_0.urdf"
 STEP, SECOND, FRICTION = 1e-3, 1000, 0.5
 TIME = {"duration": SECOND * STEP, "step": STEP}
 # How far from where it stood a tower of soft contacts may be, m, and from where they ended in ours, a body that falls,
@@ -104,7 +108,9 @@ def bare(name: str, scene: Scene, ends: Array, cone: str) -> Contestant:
 
 
 def racing(name: str, with_mujoco: bool) -> list[Contestant]:
-    """Return everyone who moves one of `SCENES`."""
+    """Return everyone who moves one of `SCENES`; nobody moves the humanoid, which MuJoCo reads, without it."""
+    if name == "humanoid" and not with_mujoco:
+        return []
     law = no_torque if name in BOXES else None
     if name == CUBE or name in TOWERS:
         scene = cube() if name == CUBE else tower(int(name.removeprefix("tower_")))
@@ -294,6 +300,36 @@ def stack(name: str) -> Scene:
     )
 
 
+def humanoid(touches: str) -> tuple[str, list[dict[str, Any]]]:
+    """Return the MJCF of Unitree's G1 with springs in its joints, feet 20 mm above the floor, and its contacts.
+
+    MuJoCo makes the MJCF of the URDF.
+    """
+    import mujoco
+
+    folder = Path(example_robot_data.getModelPath(G1)) / G1
+    text = re.sub("<visual>.*?</visual>", "", folder.read_text(), flags=re.DOTALL)
+    text = re.sub("<collision>(?:(?!</collision>).)*<mesh.*?</collision>", "", text, flags=re.DOTALL)  # feet are balls
+    text = re.sub("<robot.*?>", r'\g<0><mujoco><compiler fusestatic="false"/></mujoco>', text, count=1)
+    spec = mujoco.MjSpec.from_string(text)
+    pelvis = spec.worldbody.first_body()
+    pelvis.add_freejoint()
+    for joint in spec.joints[1:]:
+        joint.stiffness, joint.damping, joint.armature = [500.0, 0.0, 0.0], [10.0, 0.0, 0.0], 0.01
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    pelvis.pos = [0.0, 0.0, 0.02 - float(np.min(data.geom_xpos[:, 2] - model.geom_size[:, 0]))]
+    contacts = [
+        {"link": model.body(model.geom_bodyid[i]).name, "at": model.geom_pos[i].tolist()}
+        | {"radius": float(model.geom_size[i, 0])}
+        for i in range(model.ngeom)
+    ]
+    return spec.to_xml().replace("<geom ", f"<geom {touches} ").replace(
+        "<worldbody>", "<default/><worldbody>"
+    ), contacts
+
+
 def robot(name: str) -> Scene:
     """Return one of `ROBOTS`, put down: only wheels, feet and the ball touch."""
     friction, bent, turned, v = (
@@ -316,6 +352,9 @@ def robot(name: str) -> Scene:
             xml = xml.replace(f'range="-{joint}"', f'range="-{joint}" {spring}')
         xml = xml.replace("<default>", '<default><geom contype="0" conaffinity="0"/>', 1)
         xml = xml.replace('type="sphere"', f'type="sphere" {touches}')
+    elif name == "humanoid":
+        turned, v = [0.0] * 29, np.zeros(35)
+        xml, contacts = humanoid(touches)
     else:
         v[0], v[6:] = 2.0, 20.0
         turning = "".join(
@@ -327,7 +366,7 @@ def robot(name: str) -> Scene:
         xml = f'<worldbody><body name="car" pos="0 0 0.12">{body}{turning}</body></worldbody>'
         xml = f'<mujoco model="car"><default/>{xml}</mujoco>'
     scenario = cl.Scenario.model_validate({
-        "robot": {"model": "planar2", "friction": name == "quadruped"},  # another model takes its place
+        "robot": {"model": "planar2", "friction": name != "car"},  # another model takes its place
         "contact": [each | {"friction": friction} for each in contacts],
         "surface": {"kind": "none"}, "start": {"q": turned, "v": v.tolist()},
         "time": TIME | {"integrator": "time_stepping"},

@@ -38,7 +38,7 @@ class ImpactSection(Section):
         description="restitution as a ratio of velocities (newton), impulses (poisson) or energies (stronge)",
     )
     rest_speed: Annotated[Positive, REST_SPEED] = Field(
-        1e-4, description="a bounce slower than this becomes contact, m/s"
+        1e-4, description="a bounce slower than this becomes contact, m/s; of a joint off its stop rad/s"
     )
 
 

@@ -144,7 +144,6 @@ REFINEMENTS = limit(
 )
 HALVINGS = limit("HALVINGS", 12, "", "of a step of Newton's method, and of restitution that no impulses give")
 SWEEPS = limit("SWEEPS", 500, "", "of Gauss and Seidel's method over joints with dry friction")
-STEPS = limit("STEPS", (20, 100), "", "of the homotopy from Anitescu's problem, the more where few do not do")
 MAX_IN_STEP = limit(
     "MAX_IN_STEP", 2000, "", "events in a step after which modes are not sought any more: a bounce at e = 0.99 has 900"
 )

@@ -34,7 +34,6 @@ from closedloop.mechanics.limits import (
     REFINEMENTS,
     SLIGHT,
     SMALL,
-    STEPS,
     STIFF,
     STIFFEST_RHO,
     TENTH,
@@ -410,9 +409,9 @@ def sweep(s: JointSpace, a: int) -> None:
 def find_exactly(s: JointSpace, a: int, n: int, again: bool = False) -> bool:
     """Write P and u of the a contacts but for rounding; return whether they are found: nearly all are.
 
-    From no impulses, with the ρ of all and with their own; and, where Newton's method does not come from there, along
-    the solutions of problems that lie between the associated one, which is convex, and that of Coulomb's friction. That
-    takes long, and is not tried `again` where it just failed.
+    From no impulses, with the ρ of all and with their own; where Newton's method does not come from there, along the
+    solutions of problems that lie between the associated one, which is convex, and that of Coulomb's friction; and then
+    from where sweeps come. That takes long, and is not tried `again` where it just failed.
     """
     s.associated, s.alike = 0.0, 1.0
     for attempt in range(2):
@@ -422,15 +421,21 @@ def find_exactly(s: JointSpace, a: int, n: int, again: bool = False) -> bool:
         s.alike = 0.0
     if again:
         return False
-    for steps in STEPS:
-        start_at_rest(s, a, n)
-        s.associated = 1.0
-        solve_step(s, a, n)
-        for i in range(steps):
-            s.associated = 1.0 - (i + 1.0) / steps
-            s.residual = residual_of(s, a, n)
-            do_round(s, a, n, STIFFEST_RHO, False)
-        if solve_in_joint_space(s, a, n, 1.0):
+    start_at_rest(s, a, n)
+    s.associated = 1.0
+    solve_step(s, a, n)
+    for i in range(ITERATIONS):
+        s.associated = 1.0 - (i + 1.0) / ITERATIONS
+        s.residual = residual_of(s, a, n)
+        do_round(s, a, n, STIFFEST_RHO, False)
+    if solve_in_joint_space(s, a, n, 1.0):
+        return True
+    start_at_rest(s, a, n)
+    for _ in range(REFINEMENTS):
+        for _ in range(ITERATIONS):
+            sweep(s, a)
+        do_rounds(s, a, n, FOUND)
+        if s.residual <= SLIGHT and solve_in_joint_space(s, a, n, FIRST_RHO):
             return True
     return False
 

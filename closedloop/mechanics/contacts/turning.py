@@ -332,7 +332,8 @@ def turn(c: Contacts, i: int, x1: float, x2: float, begins: bool) -> float:
     if begins:
         c.friction.next_against[i] = 1.0 if drives > 0.0 else 0.0
     against = c.friction.next_against[i] if begins else c.friction.against[i]
-    if not size > 0.0 or against != 0.0 or (drives > 0.0 and speed <= STILL):
+    directed = size > 0.0 or (smooth and f != 0.0)  # what rolls on needs no friction
+    if not directed or against != 0.0 or (drives > 0.0 and speed <= STILL):
         return 0.0
     if drives > 0.0:
         x1, x2 = x1 - 2.0 * drives * d1, x2 - 2.0 * drives * d2

@@ -4,6 +4,9 @@ import numpy as np
 import pytest
 
 import closedloop as cl
+from closedloop.jit.interpreted import interpreted
+from closedloop.mechanics.contacts.memory import make_contact_memory
+from closedloop.mechanics.contacts.turning import turn
 from closedloop.mechanics.limits import STICK_SPEED
 from closedloop.scenario.load import scenario_of
 from closedloop.simulation.prepare import prepare
@@ -350,3 +353,15 @@ def test_dry_friction_of_an_arm_does_not_touch_a_pad_beside_it():
     assert np.ptp(free.v[:, 0]) > 0.1 > 1e-9 > np.ptp(dry.v[:, 1])
     np.testing.assert_array_equal(dry.v[:, 2:], free.v[:, 2:])
     assert counts[0] == counts[1]
+
+
+@pytest.mark.parametrize("sought", [0.0, 1e-17])
+def test_what_rolls_without_friction_has_none(sought):
+    """Soft contact beside others: where the friction that is sought is exactly zero, it was all of μ f for a step.
+
+    A ball that rolled on a soft floor beside an arm was pushed by 1 mm/s in a row, and back in the next.
+    """
+    c = make_contact_memory(6, 2).contacts
+    c.F[3], c.friction.shared[1], c.problem.along[1], c.direction[1] = 2.0, 0.1, (0.06, -0.08), (0.6, -0.8)
+    interpreted(turn)(c, 1, sought, 0.0, True)
+    np.testing.assert_allclose(c.problem.along[1], 0.0, atol=1e-16)

@@ -114,6 +114,29 @@ def test_intervals_of_encoders_that_count_cover(count, wide):
         assert half < wide * abs(TRUE[name]), name
 
 
+@pytest.mark.parametrize(
+    ("true", "count"), [(TRUE, 0.0), (TRUE, 2e-4), (TRUE | {"friction": 0.0, "viscous_friction": 0.0}, 2e-4)]
+)
+def test_friction_of_a_slip_that_turns(true, count):
+    """On a circle, at speeds that vary, where encoders count or not: within the intervals, and nothing is missed.
+
+    Means of forces that turn within a window are shorter than the forces: the viscous part was off by 5 half intervals,
+    and a friction without a force was found. Directions from counts made the friction smaller by their cosine.
+    """
+    t = np.arange(6000) * STEP
+    angle, rate = 4.0 * t + 1.5 * np.sin(1.7 * t), 4.0 + 2.55 * np.cos(1.7 * t)
+    r = np.stack([0.05 * np.cos(angle), 0.05 * np.sin(angle), 0.0 * t + true["surface_offset"] - 1e-3], axis=1)
+    v = 0.05 * rate[:, None] * np.stack([-np.sin(angle), np.cos(angle), 0.0 * t], axis=1)
+    rng = np.random.default_rng(0)
+    force = force_of(r, v, true) + 0.01 * rng.normal(size=r.shape)
+    q = np.round((r + 0.37 * count) / count) * count if count else r
+    found = cl.identify_contact(cl.Recording(t, q, None, force), point(), delay=0.0)
+    for name in ("friction", "viscous_friction"):
+        assert found[name].low <= true[name] <= found[name].high, name
+        assert found[name].high - found[name].low < 0.05 * TRUE[name], name
+    assert not [text for text in found.misses if "friction" in text]
+
+
 def test_without_torques_the_delay_is_told_from_the_damping():
     """The acceleration tells them apart: within their intervals; given, the damping is known better."""
     for seed in range(5):

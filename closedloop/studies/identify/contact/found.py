@@ -25,10 +25,12 @@ Friction of a tip that slides on a plane: Coulomb's and a viscous part.
 
     −F_t·u = μ f + b |ṙ_t|,   u = ṙ_t/|ṙ_t|
 
-Both forces are read by one sensor with noise, so that least squares would make μ too small by the share of the
-noise in f²; f of the windows before and behind, whose noise is another, is the instrument. Windows in which the tip may
-stick, or turns round, do not count. F_t across u has to vanish: it does not if the normal is another, or friction is
-not the same in all directions.
+Where u turns within a window the means of F_t and u are shorter alike. Noise of the positions, or counts of encoders,
+turn u by δ, and F_t·u is smaller by the cosine of that. The mean square of F_t sin δ, across, beyond the noise of the
+force tells by how much. Both forces are read by one sensor with noise, so that least
+squares would make μ too small by the share of the noise in f²; f of the windows before and behind, whose noise is
+another, is the instrument. Windows in which the tip may stick, or turns round, do not count. F_t across u has to
+vanish in the mean: it does not if the normal is another, or friction is not the same in all directions.
 """
 
 from collections.abc import Callable, Mapping
@@ -256,7 +258,8 @@ def missed(
     for name, column in extra.items():
         wider = np.column_stack([W, column])
         more = one(wider, y, used, None if Z is None else np.column_stack([Z, column]))
-        sure = more.told[-1] and abs(more.value[-1]) > SURE * more.deviation[-1]
+        beside = more.told.sum() > found.told.sum()  # and not in place of a term of the law
+        sure = beside and more.told[-1] and abs(more.value[-1]) > SURE * more.deviation[-1]
         if sure and more.sigma[0] < (1.0 - GAINED) * found.sigma[0]:
             names.append((float(more.sigma[0]), name))
     if names:
@@ -509,6 +512,7 @@ def friction_of(windows: Windows, sensor: Sensor, z: float) -> Part:
     """Return μ and the viscous coefficient, N s/m."""
     part = Part("friction, N")
     touch, x, n = windows.touch, windows.x, windows.touch.normal
+    assert touch.force is not None
     if x.torque.shape[1] != 3:
         why = "the log has the normal force only: give three components of the force"
         part.estimates = [unknown("friction", "1", why), unknown("viscous_friction", "N s/m", why)]
@@ -518,15 +522,28 @@ def friction_of(windows: Windows, sensor: Sensor, z: float) -> Part:
     noise = float(np.linalg.norm(x.noise - (x.noise @ np.abs(n)) * np.abs(n)))
     least = max(SLOW * float(speed.max()), NOISY * noise, REST)
     one_way = windows.mean((speed > least).astype(np.float64)) == 1.0
-    along = windows.mean(slip / np.maximum(speed, 1e-300)[:, None])
-    used = windows.within(touch.closed) & one_way & (np.linalg.norm(along, axis=1) > 0.99)
+    along, mean_speed = windows.mean(slip / np.maximum(speed, 1e-300)[:, None]), windows.mean(speed)
+    turning = np.maximum(np.linalg.norm(along, axis=1), 1e-300)  # shorter by as much as friction that turns with it
+    along /= turning[:, None]
+    across = np.cross(n, along)
+    used = windows.within(touch.closed) & one_way & (turning > 0.99)
     used[1:-1] &= one_way[2:] & one_way[:-2]
-    mean_speed = windows.mean(speed)
 
     def forces(value: Array) -> tuple[Array, Array]:
         force = sensor.contact_force(windows, value)
         f = force @ n
         return f, force - np.outer(f, n)
+
+    rows = (x.time[1] - x.time[0]) / touch.step  # of a window
+    read = across**2 @ (white_noise(touch.force @ (np.eye(3) - np.outer(n, n))) ** 2 / rows)
+
+    def size_of(tangential: Array) -> Array:
+        """Return the size of friction, of which noise of the slip turns a part across it, to second order."""
+        size, aside = -np.einsum("ij,ij->i", tangential, along), np.einsum("ij,ij->i", tangential, across)
+        turned, whole = (
+            uniform_filter1d(np.where(used, each, 0.0), 2 * NEAR + 1) for each in (aside**2 - read, size**2)
+        )
+        return np.asarray(size * (1.0 + 0.5 * np.clip(turned / np.maximum(whole, 1e-300), -1.0, 1.0)) / turning)
 
     f, tangential = forces(sensor.value)
     if used.sum() < FEWEST:
@@ -549,10 +566,10 @@ def friction_of(windows: Windows, sensor: Sensor, z: float) -> Part:
     def solved(value: Array) -> Array:
         f, tangential = forces(value)
         W, Z = columns(f)
-        return one(W, -np.einsum("ij,ij->i", tangential, along), used, Z).value
+        return one(W, size_of(tangential), used, Z).value
 
     W, Z = columns(f)
-    y = -np.einsum("ij,ij->i", tangential, along)
+    y = size_of(tangential)
     found = one(W, y, used, Z)
     covariance = found.covariance + spread(solved, sensor.value, sensor.covariance)
     deviation = np.sqrt(np.diag(covariance))
@@ -574,7 +591,6 @@ def friction_of(windows: Windows, sensor: Sensor, z: float) -> Part:
     }
     noise_of_force = float(np.linalg.norm(x.torque_noise))
     part.misses = [f"friction: {what}" for what in missed(W, y, used, Z, extra, found, noise_of_force)]
-    across = np.cross(np.broadcast_to(n, along.shape), along)
     aside = one(np.ones((len(y), 1)), np.einsum("ij,ij->i", tangential, across), used)
     sideways = abs(float(aside.value[0]))
     if sideways > SURE * aside.deviation[0] and sideways > ACROSS * float(np.abs(y[used]).mean()):

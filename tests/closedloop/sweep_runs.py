@@ -70,23 +70,35 @@ def here(*arguments):
 
 
 class Forked:
-    """The command line in a fork of this process, in `folder`; with what is used here of `subprocess.Popen`.
+    """A command, that of sweeps or another, in a fork of this process, in `folder`; with parts of `subprocess.Popen`.
 
     `most_bytes` is how large a file it may write; pipes know no such limit.
     """
 
-    def __init__(self, folder: Path, *arguments, most_bytes=None):
+    def __init__(self, folder: Path, *arguments, most_bytes=None, command=main):
         self.returncode = None
         said = [os.pipe(), os.pipe()]
         self._pid = os.fork()
         if self._pid == 0:
-            self._child(folder, arguments, most_bytes, [into for _, into in said])
+            self._child(folder, arguments, most_bytes, [into for _, into in said], command)
         for _, into in said:
             os.close(into)
-        self._said = [read for read, _ in said]
+        self._said = [os.fdopen(read) for read, _ in said]
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        if self.poll() is None:
+            self.send_signal(signal.SIGKILL)
+            self.communicate()
+
+    def readline(self):
+        """Return the next line on standard output."""
+        return self._said[0].readline()
 
     @staticmethod
-    def _child(folder, arguments, most_bytes, said):
+    def _child(folder, arguments, most_bytes, said, command):
         status = 98
         try:
             signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -96,7 +108,7 @@ class Forked:
             os.chdir(folder)
             if most_bytes is not None:
                 resource.setrlimit(resource.RLIMIT_FSIZE, (most_bytes, resource.RLIM_INFINITY))
-            status = main([str(a) for a in arguments])
+            status = command([str(a) for a in arguments])
             sys.stdout.flush()
         except KeyboardInterrupt:  # before or after the command: what Python does
             signal.signal(signal.SIGINT, signal.SIG_DFL)
@@ -123,8 +135,8 @@ class Forked:
         clock = threading.Timer(timeout, os.kill, (self._pid, signal.SIGKILL))
         clock.start()
         texts = []
-        for read in self._said:
-            with open(read) as file:
+        for file in self._said:
+            with file:
                 texts.append(file.read())
         if self.returncode is None:
             self.returncode = os.waitstatus_to_exitcode(os.waitpid(self._pid, 0)[1])

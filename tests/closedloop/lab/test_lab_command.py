@@ -5,14 +5,13 @@ import os
 import re
 import signal
 import socket
-import subprocess
-import sys
 import threading
 import time
 from pathlib import Path
 
 import numpy as np
 import pytest
+from sweep_runs import Forked
 
 import closedloop as cl
 from closedloop.__main__ import main
@@ -242,19 +241,14 @@ def test_the_browser_is_given_no_token_on_its_command_line(monkeypatch):
 def test_ctrl_c_closes_the_lab_without_a_traceback(tmp_path):
     """The address is printed, the page is on this computer alone, and Ctrl-C ends it with status 0."""
     sockets = pytest.importorskip("websockets.sync.client", reason="websockets is not installed: the extra 'lab'")
-    words = [sys.executable, "-m", "closedloop", "lab", "planar2_slide", "--port", "8431", "--no-browser"]
-    with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=tmp_path) as process:
-        try:
-            line = process.stdout.readline()
-            assert "http://127.0.0.1:84" in line
-            assert "/?token=" in line
-            url = re.search(r"http\S+", line)[0]
-            page = sockets.connect(url.replace("http", "ws", 1), compression=None)  # a page that is open keeps nothing
-            os.kill(process.pid, signal.SIGINT)
+    with Forked(tmp_path, "lab", "planar2_slide", "--port", "8431", "--no-browser", command=main) as process:
+        line = process.readline()
+        assert "http://127.0.0.1:84" in line
+        assert "/?token=" in line
+        url = re.search(r"http\S+", line)[0]
+        with sockets.connect(url.replace("http", "ws", 1), compression=None):  # a page that is open keeps nothing
+            process.send_signal(signal.SIGINT)
             _, err = process.communicate(timeout=60)
-            page.close()
-        finally:
-            process.kill()  # which has no effect on one that has ended
     assert process.returncode == 0
     assert "Traceback" not in err
     assert "the lab is closed" in err

@@ -2,7 +2,6 @@
 
 import itertools
 import json
-import os
 import random
 import runpy
 import signal
@@ -20,14 +19,17 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from sweep_runs import Forked
 
 import closedloop as cl
+from closedloop.__main__ import main
 from closedloop.jit.kernel import jit_disabled
 from closedloop.loop.events.transitions import collide
 from closedloop.serve.messages import ERROR, HEAD, MAGIC, NUMBERS, REQUESTS
 from closedloop.serve.session import Clock
 
 SCENARIO = "panda_slide"
+COMMAND = ("serve", SCENARIO, "--lock-step", "--out", "out")
 BRIEF = {"time.duration": 0.3, "reference.start": 0.0, "reference.stop": 0.2}
 KP, KD = np.array([600.0] * 4 + [100.0, 100.0, 15.0]), np.array([50.0] * 4 + [6.0, 6.0, 1.0])
 HOME = np.array(cl.load_scenario(SCENARIO).start.q)
@@ -289,19 +291,12 @@ def test_nobody_can_stop_the_server():
 
 def test_the_command_saves_what_was_served(tmp_path):
     """Ctrl-C ends it with status 0, and run.nc has the rows that were stepped."""
-    words = [sys.executable, "-m", "closedloop", "serve", SCENARIO, "--lock-step", "--out", str(tmp_path / "out")]
-    process = subprocess.Popen(
-        [*words, "--time.duration", "5"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=tmp_path
-    )
-    try:
-        port = int(process.stdout.readline().split("port ")[1].split()[0])
-        arm = Json(port)
+    with Forked(tmp_path, *COMMAND, "--time.duration", "5", command=main) as process:
+        arm = Json(int(process.readline().split("port ")[1].split()[0]))
         for _ in range(20):
             arm.ask("step")
-        os.kill(process.pid, signal.SIGINT)
+        process.send_signal(signal.SIGINT)
         out, _ = process.communicate(timeout=60.0)
-    finally:
-        process.kill()
     assert process.returncode == 0
     assert "20 steps served" in out
     run = cl.load_run(tmp_path / "out" / "run.nc")
@@ -312,19 +307,15 @@ def test_the_command_saves_what_was_served(tmp_path):
 @pytest.mark.parametrize("kill", [signal.SIGTERM, signal.SIGKILL])
 def test_a_server_that_is_killed_leaves_no_client_waiting(tmp_path, kill):
     """A client whose server is killed while it drives gets the end of the connection; SIGTERM saves the run too."""
-    words = [sys.executable, "-m", "closedloop", "serve", SCENARIO, "--lock-step", "--out", str(tmp_path / "out")]
-    process = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=tmp_path)
-    try:
-        arm = Json(int(process.stdout.readline().split("port ")[1].split()[0]))
+    with Forked(tmp_path, *COMMAND, command=main) as process:
+        arm = Json(int(process.readline().split("port ")[1].split()[0]))
         torque = arm.ask("step")["torque"]
-        os.kill(process.pid, kill)
+        process.send_signal(kill)
         began = time.perf_counter()
         with pytest.raises((OSError, json.JSONDecodeError)):  # an empty line is the end
             deque((arm.ask("torque", torque=torque) for _ in itertools.count()), 0)
         assert time.perf_counter() - began < 10.0
         process.communicate(timeout=60.0)
-    finally:
-        process.kill()
     assert process.returncode == (-kill if kill == signal.SIGKILL else 128 + kill)
     assert (tmp_path / "out" / "run.nc").exists() == (kill == signal.SIGTERM)
 

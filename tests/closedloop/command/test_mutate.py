@@ -98,7 +98,7 @@ def test_a_strong_test_kills_what_a_weak_one_lets_live(tmp_path, capsys):
     for name, test in (("strong", STRONG), ("weak", WEAK)):
         (tmp_path / name).mkdir()
         path = small_tree(tmp_path / name, test)
-        killed, survivors = mutate.measure(path, ["tests/test_small.py"], 4, 0, tmp_path / name)
+        killed, survivors = mutate.measure(path, ["tests/test_small.py"], 2, 0, tmp_path / name)
         said = capsys.readouterr().out
         assert f"{killed} of {killed + len(survivors)} killed" in said
         if name == "strong":

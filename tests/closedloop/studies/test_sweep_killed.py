@@ -12,7 +12,7 @@ import numpy as np
 import pyarrow as pa
 import pytest
 from pyarrow import parquet
-from sweep_runs import process, refusal, sweep
+from sweep_runs import Forked, process, refusal, sweep
 
 # 256 runs in 64 parts, a second or two of work; short contacts and impacts, and some runs that are refused.
 ARGUMENTS = (
@@ -25,7 +25,7 @@ ARGUMENTS = (
 def uninterrupted(tmp_path_factory):
     """Return the folder with the table and the columns of the sweep, never killed."""
     folder = tmp_path_factory.mktemp("whole")
-    run = process(folder, *ARGUMENTS, "--keep", "f", "--out", "t.parquet")
+    run = Forked(folder, *ARGUMENTS, "--keep", "f", "--out", "t.parquet")
     out, err = run.communicate(timeout=300)
     assert run.returncode == 0, err
     assert "256 runs: " in out

@@ -43,16 +43,19 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # as in a suite that a sh
 # which others need later; two processes that need it at the same time would both compile it.
 LONGEST = (
     "test_gradient", "test_pages", "test_notebooks", "test_lab_browser", "test_inside", "test_followed",
-    "test_background", "test_lab_shared", "test_environments", "test_lab_robust", "test_contact_random_motions",
-    "test_sweep_killed", "test_passive", "test_scenarios", "test_untouched_contact", "test_compiled_engine",
-    "test_contact_shape_pairs", "test_simulator", "test_command_line", "test_contact_motion", "test_gradients",
-    "test_contacts", "test_bodies_known", "test_integrator_choice", "test_sweep_signals", "test_break_away",
-    "test_contact_energy", "test_control_compensation", "test_engines_agree", "test_compile_command", "test_run_files",
-    "test_identify_contact", "test_gym", "test_tune", "test_study_surfaces", "test_killed", "test_contact_events",
-    "test_tree_kernels", "test_lab_command", "test_batch_memory", "test_loops", "test_robot_files", "test_mutate",
-    "test_study_controllers", "test_adaptive_order", "test_peer_slides", "test_impact_random", "test_impact_spatial",
-    "test_sweep_disk", "test_sweep_fuzz", "test_contact_random", "test_compiled_law", "test_friction_lugre",
-    "test_user_law", "test_friction_own", "test_solve", "test_speed",
+    "test_background", "test_lab_shared", "test_environments", "test_command_line", "test_sweep_killed",
+    "test_scenarios", "test_mutate", "test_new", "test_identify_contact", "test_contact_random_motions",
+    "test_lab_robust", "test_serve", "test_sweep_signals", "test_one_command", "test_compiled_engine",
+    "test_control_compensation", "test_contact_shape_pairs", "test_compile_command", "test_passive",
+    "test_gradients", "test_robot_files", "test_integrator_choice", "test_simulator", "test_contact_energy",
+    "test_speed", "test_tune", "test_loops", "test_gym", "test_identify", "test_record", "test_adaptive",
+    "test_study_surfaces", "test_batch_memory", "test_linearise_runs", "test_results", "test_contact_soft",
+    "test_contact_events", "test_dual8", "test_break_away", "test_adaptive_order", "test_impact_spatial",
+    "test_peer_slides", "test_contact_rolling", "test_harness", "test_friction_simulated", "test_figures",
+    "test_repeated", "test_optional", "test_study_controllers", "test_compiled_law", "test_lower_directly",
+    "test_tree_terms", "test_contact_motion", "test_run_files", "test_bodies_known", "test_lab_command",
+    "test_engines_agree", "test_sweep_disk", "test_friction_own", "test_tree_kernels", "test_impact_random",
+    "test_sweep_fuzz", "test_solve", "test_user_law", "test_killed",
 )  # fmt: skip
 
 

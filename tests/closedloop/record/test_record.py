@@ -131,6 +131,8 @@ def test_dimensions_are_those_of_netcdf(rows, run, tmp_path):
         labels = {"joint": ("joint",), "joint_type": ("joint",), "axis": ("axis",)}
         assert found == {name: spec.dims for name, spec in COLUMNS.items()} | labels
         assert [name.decode() for name in file.variables["joint"][...]] == list(run.model.joint_names)
+    with h5py.File(path) as file:
+        assert file["event_time"].maxshape == (None,)  # NetCDF takes an empty dimension for one that grows
     with xarray.open_dataset(path, engine="h5netcdf") as data:
         assert set(data.coords) == {"time", "joint", "axis"}
         assert data.sizes["time"] == rows

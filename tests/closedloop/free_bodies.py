@@ -3,7 +3,6 @@
 from pathlib import Path
 
 import numpy as np
-from numba import njit
 
 import closedloop as cl
 from robot_models import RobotModel
@@ -45,11 +44,9 @@ def random_positions(model: RobotModel, rng: np.random.Generator) -> np.ndarray:
     return normalised(rng.normal(size=len(model.coordinate_names)), model.joint_types, "q")
 
 
-@njit
-def no_torque(x, Q):
-    """Leave the joints to gravity and contact."""
-    for j in range(Q.shape[0]):
-        Q[j] = 0.0
+def energy(run):
+    """Return the mechanical energy in each row, J."""
+    return run.kinetic_energy + run.potential_energy
 
 
 def scenario_of(folder: Path, model: str, q=None, v=None, tip: str | None = None, contacts=(), **changes):

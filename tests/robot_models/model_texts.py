@@ -1,10 +1,19 @@
 """Small robot descriptions for the tests, right or wrong in one place at a time."""
 
+import robot_models
+
 INERTIAL = (
     '<inertial><origin xyz="0.1 0.02 0.3"/><mass value="2"/>'
     '<inertia ixx="0.10" iyy="0.12" izz="0.05" ixy="0.01" ixz="0.002" iyz="0.003"/></inertial>'
 )
 LIMIT = '<limit lower="-1" upper="1" effort="5" velocity="2"/>'
+
+
+def load(tmp_path, text):
+    """Return the robot of an MJCF text."""
+    path = tmp_path / "robot.xml"
+    path.write_text(text)
+    return robot_models.load(path)
 
 
 def link(name: str, content: str = INERTIAL) -> str:

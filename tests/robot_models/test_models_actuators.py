@@ -3,7 +3,7 @@
 import mujoco
 import numpy as np
 import pytest
-from model_texts import mjcf
+from model_texts import load, mjcf
 
 import closedloop as cl
 import robot_models
@@ -50,13 +50,6 @@ LIMITED = {
         driven("", joint='<joint name="shoulder" actuatorfrcrange="-9 9" actuatorfrclimited="false"/>'), np.inf
     ),
 }  # fmt: skip
-
-
-def load(tmp_path, text):
-    """Return the robot of a text."""
-    path = tmp_path / "robot.xml"
-    path.write_text(text)
-    return robot_models.load(path)
 
 
 @pytest.mark.parametrize(("text", "limit"), LIMITED.values(), ids=LIMITED)

@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 import pinocchio as pin
 import pytest
-from model_texts import MJCF_INERTIAL, mjcf
+from model_texts import MJCF_INERTIAL, load, mjcf
 
 import robot_models
 from robot_models import mjcf as reader
@@ -110,13 +110,6 @@ SAME |= {
         tail='<contact><exclude body1="upper" body2="base"/></contact><sensor><jointpos joint="elbow"/></sensor>',
     ),
 }  # fmt: skip
-
-
-def load(tmp_path, text):
-    """Return the robot of a text."""
-    path = tmp_path / "robot.xml"
-    path.write_text(text)
-    return robot_models.load(path)
 
 
 @pytest.mark.parametrize("case", SAME)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import tomli_w
 from contact_mobility import write_own_mobilities
-from free_bodies import matrices
+from free_bodies import energy, matrices
 
 import closedloop as cl
 from closedloop.jit.interpreted import interpreted
@@ -73,11 +73,6 @@ def thrown(shape, contact, duration, integrator="rk4", step=0.001, engine="pinoc
 def ball(contact, duration, integrator="rk4", **body):
     """Return the run of a ball on a floor."""
     return thrown("ball", contact, duration, integrator, radius=R, **body)
-
-
-def energy(run):
-    """Return the mechanical energy in each row, J."""
-    return run.kinetic_energy + run.potential_energy
 
 
 @pytest.mark.parametrize("integrator", ["rk4", "semi_implicit_euler", "dop853"])

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from free_bodies import energy
 
 import closedloop as cl
 import robot_models
@@ -78,11 +79,6 @@ def rolled(tmp_path, inside, contacts, q, v, duration, **changes):
         text += "[[contact]]\n" + "".join(f"{key} = {value!r}\n".replace("'", '"') for key, value in contact.items())
     (tmp_path / "scenario.toml").write_text(text)
     return cl.simulate(cl.load_scenario(tmp_path / "scenario.toml", changes), progress=False)
-
-
-def energy(run):
-    """Return the mechanical energy in each row, J."""
-    return run.kinetic_energy + run.potential_energy
 
 
 def on_an_incline(tmp_path, slope, mu, duration):

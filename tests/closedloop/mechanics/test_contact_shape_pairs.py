@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import tomli_w
 from budget import budget
+from free_bodies import energy
 from scipy.spatial.transform import Rotation
 
 import closedloop as cl
@@ -117,11 +118,6 @@ def test_the_least_gap_is_coals_distance(tmp_path, one, other):
             rate = (after[2][k] - before[2][k]) / (2 * h)
             np.testing.assert_allclose(rate, drift[k], atol=1e-3 * (1 + np.abs(drift[k]).max()))
     assert compared >= 5
-
-
-def energy(run):
-    """Return the mechanical energy in each row, J."""
-    return run.kinetic_energy + run.potential_energy
 
 
 def least_distance(run, edges):

@@ -6,6 +6,7 @@ What is compared is MuJoCo's own, another source of terms, a closed form, or a q
 import mujoco
 import numpy as np
 import pytest
+from boxes import no_torque
 
 import closedloop as cl
 import robot_models
@@ -14,7 +15,7 @@ from closedloop.jit.interpreted import interpreted
 from closedloop.loop.step.advance import turn_rate
 from closedloop.mechanics.robot.tree.layout import turn
 from robot_models.coordinates import continuous, with_quaternions, with_rotation_vectors
-from tests.closedloop.free_bodies import BODY, TREE, matrices, no_torque, random_positions, scenario_of, written
+from tests.closedloop.free_bodies import BODY, TREE, matrices, random_positions, scenario_of, written
 
 MOMENTS = np.array([1.0e-3, 2.0e-3, 2.5e-3])
 STILL = [0, 0, 0, 1, 0, 0, 0]

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from free_bodies import energy
 from rounding import rounding, within
 from scipy.optimize import brentq
 from scipy.special import ellipj
@@ -34,11 +35,6 @@ def point(**changes):
 def limp(t, q, v, terms):
     """Do nothing."""
     return np.zeros(len(q))
-
-
-def energy(run):
-    """Return kinetic and potential energy of every row, J."""
-    return run.kinetic_energy + run.potential_energy
 
 
 @pytest.mark.parametrize(("restitution", "user_law"), [(0.8, True), (1.0, False)])

@@ -24,15 +24,16 @@ contact the free arm is judged. Contact, friction and other postures change the 
 refusal.
 """
 
-from collections.abc import Callable, Hashable
+import itertools
+from collections.abc import Callable, Hashable, Sequence
+from operator import is_, itemgetter
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.base.arrays import Array
+from closedloop.base.arrays import Array, ComplexArray
 from closedloop.base.errors import ScenarioError
-from closedloop.base.sections import Section
 from closedloop.control.drives import transmission_constants
 from closedloop.control.laws.hybrid import HybridLaw
 from closedloop.control.laws.impedance import ImpedanceLaw
@@ -394,57 +395,72 @@ class Mode(NamedTuple):
     integrator: str
 
 
-def wrong_by(integrator: str, h: float, stiffness: Array, damping: Array, least: float = 0.0) -> tuple[float, float]:
+def wrong_by(integrator: str, h: float, stiffness: Array, damping: Array, least: float = 0.0) -> tuple[Array, Array]:
     """Return |ln μ − hλ|/|hλ| of the swing ẍ = −stiffness x − damping ẋ that a step h, s, gets most wrong, and its |λ|.
 
-    Only swings count that are off by `least` in a step, not what dies out without one.
+    Only swings count that are off by `least` in a step, not what dies out without one. Of stacks (..., m, m) both are
+    (...).
     """
-    worst, rate = 0.0, 0.0
-    for z, made in _rates(integrator, h, stiffness, damping):
-        if z.imag <= 1e-3 * abs(z) or abs(made - np.exp(z)) < least:
-            continue
-        off = abs(np.log(made) - z) / abs(z) if made != 0.0 else np.inf
-        if off > worst:
-            worst, rate = float(off), abs(z) / h
-    return worst, rate
+    return _worst_swing(*_rates(integrator, h, stiffness, damping), h, least)
 
 
-def wrong_decay(integrator: str, h: float, stiffness: Array, damping: Array) -> tuple[float, float]:
-    """Return |μ − e^hλ| of the decay of ẍ = −stiffness x − damping ẋ that a step h, s, gets most wrong, and its |λ|."""
-    decays = [
-        (float(abs(made - np.exp(z))), abs(z) / h)
-        for z, made in _rates(integrator, h, stiffness, damping)
-        if abs(z.imag) <= 1e-3 * abs(z) and z.real < 0.0
-    ]
-    return max(decays, default=(0.0, 0.0))
+def _worst_swing(z: ComplexArray, made: ComplexArray, h: float, least: float) -> tuple[Array, Array]:
+    """Return what `wrong_by` does, of what `_rates` returns."""
+    with np.errstate(all="ignore"):  # of those that do not count
+        counts = (z.imag > 1e-3 * np.abs(z)) & ~(np.abs(made - np.exp(z)) < least)
+        off = np.where(counts, np.where(made != 0.0, np.abs(np.log(made) - z) / np.abs(z), np.inf), 0.0)
+    return _largest(off, np.abs(z) / h)
 
 
-def _rates(integrator: str, h: float, stiffness: Array, damping: Array) -> list[tuple[complex, complex]]:
-    """Return each hλ that is not zero to rounding, and what a step makes of e^hλ.
+def _worst_decay(z: ComplexArray, made: ComplexArray, h: float) -> tuple[Array, Array]:
+    """Return |μ − e^hλ| of the decay that a step h, s, gets most wrong, and its |λ|, of what `_rates` returns."""
+    with np.errstate(all="ignore"):
+        counts = (np.abs(z.imag) <= 1e-3 * np.abs(z)) & (z.real < 0.0)
+        off = np.where(counts, np.abs(made - np.exp(z)), 0.0)
+    return _largest(off, np.abs(z) / h)
+
+
+def _largest(off: Array, rate: Array) -> tuple[Array, Array]:
+    """Return the largest of each row, and its rate; 0 where none is above 0."""
+    worst = np.argmax(off, axis=-1)[..., None]
+    off, rate = (np.take_along_axis(each, worst, axis=-1)[..., 0] for each in (off, rate))
+    return off, np.where(off > 0.0, rate, 0.0)
+
+
+def _rates(integrator: str, h: float, stiffness: Array, damping: Array) -> tuple[ComplexArray, ComplexArray]:
+    """Return each hλ, 0 where it is zero to rounding, and what a step makes of e^hλ, (..., 2 m), of (..., m, m).
 
     Of a Runge-Kutta scheme it is a polynomial of hλ; of the semi-implicit one, the nearest that is left over.
     """
-    m, scheme = stiffness.shape[0], INTEGRATORS[integrator]
-    A = np.block([[np.zeros((m, m)), np.eye(m)], [-h * h * stiffness, -h * damping]])
+    m, scheme = stiffness.shape[-1], INTEGRATORS[integrator]
+    A = np.zeros((*stiffness.shape[:-2], 2 * m, 2 * m))
+    A[..., :m, m:], A[..., m:, :m], A[..., m:, m:] = np.eye(m), -h * h * stiffness, -h * damping
     z = _eigenvalues(A)
+    still = np.abs(z) <= STILL
     if not scheme.semi_implicit:
-        return [(complex(a), complex(linear_step(scheme, np.array([[a]]))[0, 0])) for a in z if abs(a) > STILL]
+        one_by_one: Any = z[..., None, None]
+        of_each: Any = linear_step(scheme, one_by_one)[..., 0, 0]
+        z[still] = 0.0
+        return z, of_each
     made = _eigenvalues(linear_step(scheme, A))
-    apart = np.abs(np.exp(z)[:, None] - made[None])
-    pairs = []
-    for _ in range(z.size):
-        i, k = np.unravel_index(int(np.argmin(apart)), apart.shape)
-        apart[i], apart[:, k] = np.inf, np.inf
-        if abs(z[i]) > STILL:
-            pairs.append((complex(z[i]), complex(made[k])))
-    return pairs
+    with np.errstate(all="ignore"):  # where a rate is infinite
+        apart = np.abs(np.exp(z)[..., :, None] - made[..., None, :])
+    nearest, each = np.empty_like(z), tuple(np.indices(z.shape[:-1]))
+    for _ in range(2 * m):
+        i, k = np.divmod(apart.reshape(*z.shape[:-1], -1).argmin(axis=-1), 2 * m)
+        nearest[(*each, i)] = made[(*each, k)]
+        apart[(*each, i)], apart[(*each, slice(None), k)] = np.inf, np.inf
+    z[still] = 0.0
+    return z, nearest
 
 
-def _eigenvalues(matrix: Array) -> NDArray[np.complex128]:
-    """Return the eigenvalues of a matrix, infinite where its numbers are too large for them to be found."""
+def _eigenvalues(matrix: Array) -> ComplexArray:
+    """Return the eigenvalues (..., k) of matrices, infinite of one whose numbers are too large for them to be found."""
     try:
-        found: NDArray[np.complex128] = np.linalg.eigvals(matrix).astype(complex)
+        found: ComplexArray = np.linalg.eigvals(matrix).astype(complex)
     except np.linalg.LinAlgError:
+        if matrix.ndim > 2:
+            return np.stack([_eigenvalues(each) for each in matrix])
         found = np.full(matrix.shape[0], complex(np.inf))
     return found
 
@@ -513,25 +529,52 @@ def unresolved_feedback(scenario: Scenario, robot: Robot) -> list[str]:
 
     A torque that is held is a controller's own, and is resolved.
     """
-    lines = []
-    for mode in _of_feedback(scenario, robot):
-        lines += _line(mode, scenario, decays=True, least=WRONG_FEEDBACK)
-    return lines
+    return unresolved_feedbacks([scenario], robot)[0]
 
 
-def feedback_key(scenario: Scenario, text: Callable[[Section], Hashable]) -> Hashable:
-    """Return what `unresolved_feedback` depends on beside the robot: many runs of a batch have it in common.
+def unresolved_feedbacks(scenarios: Sequence[Scenario], robot: Robot) -> list[list[str]]:
+    """Return `unresolved_feedback` of each of several scenarios of a robot, which are looked at together."""
+    parts: list[list[Mode]] = []
+    for i, each in enumerate(scenarios):
+        again = i > 0 and same_feedback(each, scenarios[i - 1])
+        parts.append(parts[-1] if again else _of_feedback(each, robot))
+    lines: dict[int, list[str]] = {}  # of each mode, by its identity
+    alike: dict[Hashable, list[tuple[Mode, Scenario]]] = {}
+    for modes, scenario in zip(parts, scenarios, strict=True):
+        for mode in modes:
+            if id(mode) not in lines:
+                lines[id(mode)] = []
+                key = mode.integrator, scenario.time.step, mode.stiffness.shape
+                alike.setdefault(key, []).append((mode, scenario))
+    for some in alike.values():
+        (first, scenario), h = some[0], some[0][1].time.step
+        stiffness, damping = (np.stack([mode[k] for mode, _ in some]) for k in (1, 2))
+        wrong = _is_wrong(_rates(first.integrator, h, stiffness, damping), h, WRONG_FEEDBACK)
+        for mode, scenario in itertools.compress(some, wrong):
+            lines[id(mode)] = _line(mode, scenario, decays=True, least=WRONG_FEEDBACK)
+    return [[line for mode in modes for line in lines[id(mode)]] for modes in parts]
 
-    `text` returns what tells sections apart.
-    """
-    sections = (
-        scenario.start, scenario.surface, scenario.surface_motion, scenario.tool, scenario.transmission,
-        scenario.encoder, scenario.time,
-    )  # fmt: skip
+
+def _is_wrong(rates: tuple[ComplexArray, ComplexArray], h: float, least: float) -> NDArray[np.bool_]:
+    """Return whether a step gets a swing or a decay wrong, of what `_rates` returns."""
+    wrong: NDArray[np.bool_] = (_worst_swing(*rates, h, least)[0] > WRONG_BY) | (
+        _worst_decay(*rates, h)[0] > WRONG_DECAY
+    )
+    return wrong
+
+
+# What `unresolved_feedback` depends on, beside the law but for its force, and the robot.
+_OF_FEEDBACK = itemgetter("start", "surface", "surface_motion", "tool", "transmission", "encoder", "time", "reference")
+
+
+def same_feedback(one: Scenario, other: Scenario) -> bool:
+    """Whether two scenarios of a batch have the same feedback, since their sections are the same."""
+    law, its = vars(one.law), vars(other.law)
     return (
-        type(scenario.law), scenario.law.model_dump_json(exclude={"force"}), getattr(scenario.reference, "start", None),
-        *map(text, sections),
-    )  # fmt: skip
+        all(map(is_, _OF_FEEDBACK(vars(one)), _OF_FEEDBACK(vars(other))))
+        and type(one.law) is type(other.law)
+        and all(law[key] is its[key] or law[key] == its[key] for key in law if key != "force")
+    )
 
 
 def _of_feedback(scenario: Scenario, robot: Robot, sliding: Sliding | None = None) -> list[Mode]:
@@ -615,10 +658,11 @@ def _line(mode: Mode, scenario: Scenario, decays: bool, least: float = 0.0) -> l
     h, name = scenario.time.step, scenario.time.integrator
 
     def fault(step: float) -> tuple[float, float, str]:
-        off, rate = wrong_by(mode.integrator, step, mode.stiffness, mode.damping, least)
+        rates = _rates(mode.integrator, step, mode.stiffness, mode.damping)
+        off, rate = map(float, _worst_swing(*rates, step, least))
         if off > WRONG_BY:
             return off, rate, "swing"
-        off, rate = wrong_decay(mode.integrator, step, mode.stiffness, mode.damping)
+        off, rate = map(float, _worst_decay(*rates, step))
         return (off, rate, "decay") if decays and off > WRONG_DECAY else (0.0, 0.0, "")
 
     off, rate, what = fault(h)

@@ -55,8 +55,8 @@ from robot_models.model import AT_LIMIT
 
 # A path on a surface that moves goes on this much longer than the run, so that its last row is no end of it.
 BEYOND = 1.001
-# Memory of a robot, with Pinocchio's model and data, about, bytes; of a section as numbers.
-ROBOT_BYTES, SECTION_BYTES = 200_000, 2_000
+# Memory of a robot, with Pinocchio's model and data, about, bytes.
+ROBOT_BYTES = 200_000
 # Largest |e| of the tip at the start, m: with the paper's stabiliser the force due to a larger error would dominate, a
 # thousand newtons for each kilogram of apparent mass and each millimetre.
 START_GAP = 1e-3

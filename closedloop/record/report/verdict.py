@@ -443,7 +443,34 @@ def verdict_of(
     return names_of(judge(facts, lambda: gains_fault(scenario, robot)))
 
 
+# Of what a bound is a share of, or is added to, the least is the worst; of instants the first.
+_LEAST = ("energy_exchanged", "energy_lost_to_friction", "max_kinetic_energy", "start_closure_error")
+_LEAST_AT = [list(MEASURES).index(name) for name in (*_LEAST, "singular_pose_passed")]
+
+
+def verdicts_of(
+    scenarios: Sequence[Scenario], robot: Robot, values: Array, steps: int, swings: Sequence[Sequence[str]]
+) -> list[str]:
+    """Return `verdict_of` each of R runs in one set of lanes, of values (R, W).
+
+    Where nothing is wrong with a run that is as bad in everything as the worst of them, each is good.
+    """
+    first, n, events = scenarios[0], robot.n, values[:, EVENTS_AT:FAILED_AT].any(axis=1)
+    if not any(swings) and events.all() == events.any() and all(s.surface is first.surface for s in scenarios):
+        worst, names = values.max(axis=0), list(JOINT_MEASURES)
+        worst[_LEAST_AT] = np.abs(values[:, _LEAST_AT]).min(axis=0)
+        instants = [WIDTH + n * m + j for m, name in enumerate(names) if name.endswith("_at") for j in range(n)]
+        instants += range(FAILED_AT, WIDTH)
+        worst[instants] = np.fmin.reduce(values[:, instants], axis=0)
+        if verdict_of(first, robot, worst, steps) == GOOD:
+            return [GOOD] * len(scenarios)
+    return [
+        verdict_of(scenario, robot, own, steps, swings=said)
+        for scenario, own, said in zip(scenarios, values, swings, strict=True)
+    ]
+
+
 def forget_absent(scenario: Scenario, values: Array, own_law: bool = False) -> None:
-    """Write NaN for the measures that do not exist."""
+    """Write NaN for the measures that do not exist into the values (..., W) of runs."""
     absent = {*absent_measures(scenario, own_law)}
-    values[[at for at, name in enumerate(MEASURES) if name in absent]] = math.nan
+    values[..., [at for at, name in enumerate(MEASURES) if name in absent]] = math.nan

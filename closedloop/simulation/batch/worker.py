@@ -43,42 +43,54 @@ from closedloop.record.report.measures import (
     measure_rows,
 )
 from closedloop.record.report.summary import lost_to_slips
-from closedloop.record.report.verdict import GOOD, count_limited, forget_absent, verdict_of
+from closedloop.record.report.verdict import GOOD, count_limited, forget_absent, verdict_of, verdicts_of
 from closedloop.scenario import modes
 from closedloop.scenario.scenario import Scenario
-from closedloop.simulation.engines.lanes import FEWEST, Kind, LaneRuns, kind_of, uses_lanes
+from closedloop.simulation.engines.lanes import FEWEST, Kind, LaneRuns, Worst, kind_of, uses_lanes
 from closedloop.simulation.engines.law_source import fresh
 from closedloop.simulation.engines.loops import COMPILED, compiled_work
 from closedloop.simulation.engines.problem import Problem
 from closedloop.simulation.engines.user_law import Law
 from closedloop.simulation.parts import Cache
-from closedloop.simulation.prepare import SECTION_BYTES, problem_of
+from closedloop.simulation.prepare import problem_of
 from closedloop.simulation.simulate import positions_told, run_loop
 from robot_models import RobotModel
 
 
-def control_in_lanes(runs: LaneRuns, lane: int, scenario: Scenario) -> str:
-    """Return "good", or what is wrong with the control of a run in a lane.
+def control_of_lanes(runs: LaneRuns, scenarios: Sequence[Scenario], values: Array) -> list[str]:
+    """Return `control_in_lanes` of each run, of values (R, W): where the worst of them is good, each is."""
+    lanes, count = slice(len(scenarios)), runs.kind.steps + 1
+    good = not runs.kind.many and all(_first_look(runs.worst(lanes), count))
+    if good and not any(map(control_verdict.negative_gain, scenarios)):
+        return [GOOD] * len(scenarios)
+    return [control_in_lanes(runs, lane, each, values[lane]) for lane, each in enumerate(scenarios)]
 
-    Where nothing can happen to a run, all its rows are in contact. If contact is commanded in all of them and no error
-    ever reaches what a bound is about, the worst of them decides; most runs of a sweep end here, for which the rows are
-    not gone over.
+
+def _first_look(worst: Worst, count: int) -> tuple[bool, bool]:
+    """Return whether of runs of so many rows only the force counts, and whether it is near that desired.
+
+    Only the force counts where contact is commanded in all rows, and no other error reaches what a bound is about.
+    """
+    led = 4.0 * worst.off_squared <= control_verdict.PATH_FLOOR**2 and worst.rise <= control_verdict.RELEASE
+    near = worst.miss <= control_verdict.MEAN_SHARE * math.sqrt(worst.wanted_squared / count)
+    return bool(led and worst.least > 0.0), bool(near)
+
+
+def control_in_lanes(runs: LaneRuns, lane: int, scenario: Scenario, values: Array) -> str:
+    """Return "good", or what is wrong with the control of a run in a lane, whose values are (W,).
+
+    Where nothing can happen to a run, all its rows are in contact. If a first look finds that only the force counts,
+    and that it is near, which is so in most runs of a sweep, the rows are not gone over.
     """
     if runs.kind.many:
         problem, found, events = runs.by_itself(lane)
-        return control_of_rows(problem, found, events, runs.values(lane), None)
-    worst, count = runs.worst(lane), runs.kind.steps + 1
-    scale = math.sqrt(worst.wanted_squared / count)
-    on_path = 4.0 * worst.off_squared <= control_verdict.PATH_FLOOR**2
-    if (
-        on_path
-        and worst.least > 0.0
-        and worst.rise <= control_verdict.RELEASE
-        and not control_verdict.negative_gain(scenario)
-    ):
-        if worst.miss <= control_verdict.MEAN_SHARE * scale:
+        return control_of_rows(problem, found, events, values, None)
+    worst, count = runs.worst(slice(lane, lane + 1)), runs.kind.steps + 1
+    only_force, near = _first_look(worst, count)
+    if only_force and not control_verdict.negative_gain(scenario):
+        if near:
             return GOOD
-        unknown: list[str] = []
+        scale, unknown = math.sqrt(worst.wanted_squared / count), list[str]()
         return _told((control_verdict.judge_force(runs.miss(lane), scale, runs.kind.h, _rows(count), unknown), unknown))
     wanted, force, along, tip = runs.signals(lane)
     # In contact from the start, only by how much the path rises off the surface counts.
@@ -171,6 +183,7 @@ class Worker:
         self._failures: Counter[str] = Counter()  # sets of lanes that failed in a row, by kind of contact
         self._one_by_one: Counter[str] = Counter()  # sets of eight still to be run one by one
         self._rows, self._signals = np.empty(0), np.empty((CONTROL, 0))
+        self._fed: tuple[Scenario, Robot, list[str]] | None = None  # a run, and what is said of its feedback
 
     def run(self, scenario: Scenario) -> Outcome:
         """Run a scenario and return its outcome; a run that fails says why."""
@@ -224,7 +237,7 @@ class Worker:
         try:
             ended_well = lane_runs.run(len(scenarios))
             self._count(lane_runs.kind.contact, ended_well)
-            return [self._outcome(lane_runs, i, each) for i, each in enumerate(scenarios)] if ended_well else None
+            return self._outcomes(lane_runs, scenarios) if ended_well else None
         except Exception as error:  # alone, the one at fault fails by itself
             self._failed(error)
             return None
@@ -251,19 +264,22 @@ class Worker:
             ("lanes", kind), lambda: LaneRuns(problem, kind, bool(self._keep)), lambda made: made.bytes
         )
 
-    def _outcome(self, lane_runs: LaneRuns, lane: int, scenario: Scenario) -> Outcome:
-        rows = lane_runs.rows(lane)
-        columns = {name: recorded(rows, lane_runs.n, name) for name in self._keep}
-        steps, values = lane_runs.kind.steps, lane_runs.values(lane)
-        forget_absent(scenario, values)
-        robot = lane_runs.kind.robot
-        swings = self._unresolved_feedback(scenario, robot)
-        if lane_runs.kind.many:
-            problem, first = lane_runs.first(lane)
-            swings = _unresolved_at(problem, first) + swings
-        verdict = verdict_of(scenario, robot, values, steps, swings=swings)
-        control = control_in_lanes(lane_runs, lane, scenario)
-        return Outcome(RAN, None, steps + 1, values, lane_runs.end, columns, verdict, control)
+    def _outcomes(self, lane_runs: LaneRuns, scenarios: Sequence[Scenario]) -> list[Outcome]:
+        kind, count = lane_runs.kind, len(scenarios)
+        values = lane_runs.values(count)
+        forget_absent(scenarios[0], values)
+        swings = self._unresolved_feedbacks(scenarios, kind.robot)
+        if kind.many:
+            swings = [_unresolved_at(*lane_runs.first(i)) + said for i, said in enumerate(swings)]
+        verdicts = verdicts_of(scenarios, kind.robot, values, kind.steps, swings)
+        controls = control_of_lanes(lane_runs, scenarios, values)
+        return [
+            Outcome(
+                RAN, None, kind.steps + 1, values[i], lane_runs.end,
+                {name: recorded(lane_runs.rows(i), lane_runs.n, name) for name in self._keep}, verdicts[i], controls[i],
+            )
+            for i in range(count)
+        ]  # fmt: skip
 
     def _run(self, problem: Problem) -> Outcome:
         memory = self._row_memory(problem)
@@ -299,7 +315,7 @@ class Worker:
         reason = None if failure is None else str(failure)
         swings = _unresolved(problem, rows, self.law is not None)
         if self.law is None and len(rows):
-            swings += self._unresolved_feedback(problem.scenario, problem.robot)
+            swings += self._unresolved_feedbacks([problem.scenario], problem.robot)[0]
         verdict = verdict_of(
             problem.scenario, problem.robot, values, len(rows) - 1, reason, swings, self.law is not None
         )
@@ -307,10 +323,14 @@ class Worker:
         status = RAN if failure is None else STOPPED
         return Outcome(status, reason, len(rows), values, end, columns, verdict, control)
 
-    def _unresolved_feedback(self, scenario: Scenario, robot: Robot) -> list[str]:
-        """Return what of the law's feedback the step does not resolve."""
-        key = "feedback", robot, modes.feedback_key(scenario, self._cache.text)
-        return self._cache.get(key, lambda: modes.unresolved_feedback(scenario, robot), lambda lines: SECTION_BYTES)
+    def _unresolved_feedbacks(self, scenarios: Sequence[Scenario], robot: Robot) -> list[list[str]]:
+        """Return what of the law's feedback the step does not resolve, as of the run before if that has the same."""
+        last = self._fed
+        if last is None or last[1] is not robot or not all(modes.same_feedback(each, last[0]) for each in scenarios):
+            found = modes.unresolved_feedbacks(scenarios, robot)
+            self._fed = scenarios[-1], robot, found[-1]
+            return found
+        return [last[2]] * len(scenarios)
 
     def _row_memory(self, problem: Problem) -> Array:
         """Return memory for the rows of a problem; the adaptive integrator has its own."""

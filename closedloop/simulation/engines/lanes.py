@@ -10,7 +10,7 @@ run of which one may not say that nothing happens in a step takes that step by i
 If one of the eight cannot go on, the loop returns a status, and each of the eight is run by itself.
 """
 
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 
@@ -96,6 +96,10 @@ class Worst(Block):
     wanted_squared: float  # the sum of f_des² over the rows, N²
     lowest: float  # the path along the normal, least until now, m
     rise: float  # and the most that it then rose from there, m
+
+
+# What is the worse for the control the less it is.
+_LEAST_OF = [cast(int, Worst.place(name)) for name in ("least", "wanted_squared")]
 
 
 class LaneAddresses(Block):
@@ -498,11 +502,11 @@ class LaneRuns:
         )
         return status == OK
 
-    def values(self, lane: int) -> Array:
-        """Return the values of a run's summary, see `closedloop.record.report.measures`."""
-        values = self._values[:, lane].copy()
-        if self.kind.many:
-            plain(count_events)(self._members[lane].told, Values(values, self.n))
+    def values(self, count: int) -> Array:
+        """Return the values of the first `count` runs' summaries, (count, W): `closedloop.record.report.measures`."""
+        values = self._values[:, :count].T.copy()
+        for own, member in zip(values, self._members, strict=False):
+            plain(count_events)(member.told, Values(own, self.n))
         return values
 
     def by_itself(self, lane: int) -> tuple[Problem, Array, Array]:
@@ -515,9 +519,12 @@ class LaneRuns:
         member = self._members[lane]
         return member.problem, Row(member.window[0], self.n)
 
-    def worst(self, lane: int) -> Worst:
-        """Return what a first look at the control goes by."""
-        return Worst(self._worst[:, lane])
+    def worst(self, lanes: slice) -> Worst:
+        """Return what a first look at the control goes by: the worst of these runs."""
+        some = self._worst[:, lanes]
+        found = Worst(some.max(axis=1))
+        found.least, found.wanted_squared = some[_LEAST_OF].min(axis=1)
+        return found
 
     def miss(self, lane: int) -> Array:
         """Return f − f_des, (N,)."""

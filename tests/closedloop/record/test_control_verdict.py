@@ -252,9 +252,9 @@ def test_lanes_say_what_a_summary_says(monkeypatch):
     """Good, a soft law off its path, a wrong sign: the column in lanes is the summary's text, and lanes it is."""
     lanes, told_in_lanes = [], worker.control_in_lanes
 
-    def counted(runs, lane, scenario):
+    def counted(runs, lane, *of_run):
         lanes.append(lane)
-        return told_in_lanes(runs, lane, scenario)
+        return told_in_lanes(runs, lane, *of_run)
 
     monkeypatch.setattr(worker, "control_in_lanes", counted)
     changes = {

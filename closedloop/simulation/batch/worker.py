@@ -51,7 +51,7 @@ from closedloop.simulation.engines.law_source import fresh
 from closedloop.simulation.engines.loops import COMPILED, compiled_work
 from closedloop.simulation.engines.problem import Problem
 from closedloop.simulation.engines.user_law import Law
-from closedloop.simulation.parts import Cache
+from closedloop.simulation.parts import Asked, Cache, asking
 from closedloop.simulation.prepare import problem_of
 from closedloop.simulation.simulate import positions_told, run_loop
 from robot_models import RobotModel
@@ -183,6 +183,7 @@ class Worker:
         self._failures: Counter[str] = Counter()  # sets of lanes that failed in a row, by kind of contact
         self._one_by_one: Counter[str] = Counter()  # sets of eight still to be run one by one
         self._rows, self._signals = np.empty(0), np.empty((CONTROL, 0))
+        self._kind: tuple[Kind | None, Asked] | None = None  # of the last run, and what it was made of
         self._fed: tuple[Scenario, Robot, list[str]] | None = None  # a run, and what is said of its feedback
 
     def run(self, scenario: Scenario) -> Outcome:
@@ -214,7 +215,7 @@ class Worker:
         for i, scenario in enumerate(scenarios):
             try:
                 problem = problem_of(scenario, self._model, self._cache)
-                kind = kind_of(problem) if together else None
+                kind = self._kind_of(problem) if together else None
                 if lane_runs is None and kind is not None:
                     lane_runs = self._lane_runs(problem, kind)
                 if lane_runs is not None and kind == lane_runs.kind:
@@ -229,6 +230,12 @@ class Worker:
         for lane, i in enumerate(members):
             done(i, self.run(scenarios[i]) if ended is None else ended[lane])
         return [outcomes[i] for i in range(len(scenarios))]
+
+    def _kind_of(self, problem: Problem) -> Kind | None:
+        """Return `kind_of`, that of the run before where this one says the same."""
+        if self._kind is None or not self._kind[1].stands_for(problem):
+            self._kind = asking(problem, kind_of, without="law.force")
+        return self._kind[0]
 
     def _run_in_lanes(self, lane_runs: LaneRuns, scenarios: Sequence[Scenario]) -> list[Outcome] | None:
         """Return the outcomes of these scenarios, a lane each; None if they have to be run one by one."""

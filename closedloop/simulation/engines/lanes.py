@@ -359,7 +359,7 @@ def kind_of(problem: Problem) -> Kind | None:
         or problem.project
     ):
         return None
-    simple = problem.surface.fixed_plane and not any(each.kind != "none" for each in members[:2])
+    simple = problem.there.fixed_plane and not any(each.kind != "none" for each in members[:2])
     many = not simple or scenario.surface.contact == "unilateral"
     if many and robot.n > LONG_ARM:
         return None

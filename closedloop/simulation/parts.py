@@ -12,7 +12,7 @@ from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from itertools import compress
 from operator import is_not, itemgetter
-from typing import Any, NamedTuple, TypeVar, cast
+from typing import Any, TypeVar, cast
 
 import numpy as np
 
@@ -26,16 +26,6 @@ T = TypeVar("T")
 # What makes a part of a scenario, and of parts before it.
 Maker = Callable[[Any, Any], Any]
 
-
-class Without(NamedTuple):
-    """A maker that is given the section of a key of `APART` without this key: it cannot depend on it."""
-
-    key: str
-    make: Maker
-
-
-# Keys that change from run to run, and on which hardly a part depends that depends on their section.
-APART = ("law.force",)
 NOTHING = object()
 SECTIONS = dict(Scenario.model_fields)  # looking up that attribute takes longer than reading a section
 sections_of = itemgetter(*SECTIONS)
@@ -44,32 +34,28 @@ sections_of = itemgetter(*SECTIONS)
 class Watched:
     """A scenario that notes which of its sections are read, by what it is given to; it turns from scenario to scenario.
 
-    `readers`: by section, and by key of `APART`, who has read it, and the section of this key without it.
+    `readers`: by section, who has read it.
     `who`: who it is given to.
-    `without`: a key that its section does not have here.
     `unwatched`: the scenario; to be set. A section that was read is an attribute from then on, which who turns it on
         changes.
     """
 
     unwatched: Scenario
 
-    def __init__(self, readers: Mapping[str, set[int]], who: int, without: str = "") -> None:
-        self._readers, self._who, self._without = readers, who, without
+    def __init__(self, readers: Mapping[str, set[int]], who: int) -> None:
+        self._readers, self._who = readers, who
 
     def __getattr__(self, name: str) -> Any:
         readers = self._readers.get(name)
         if readers is None:
             return getattr(Scenario, name).__get__(self)  # a property, or a method, which reads sections too
-        part, without = self.unwatched.__dict__[name], self._without
-        if without.startswith(f"{name}."):
-            readers, part = self._readers[without], section_without(part, without)
         readers.add(self._who)
-        self.__dict__[name] = part  # where Python looks first
+        part = self.__dict__[name] = self.unwatched.__dict__[name]  # where Python looks first
         return part
 
     def model_copy(self, *, update: Mapping[str, Any]) -> Scenario:
         """Return a changed copy of the scenario, which depends on all of it."""
-        for name in SECTIONS:
+        for name in self._readers:
             getattr(self, name)
         return self.unwatched.model_copy(update=update)
 
@@ -90,13 +76,35 @@ class Made:
         return self._parts[name]
 
 
-class Asked:
-    """A problem that notes what is read of it, and of its scenario, which lacks a key of `APART` if told so."""
+class OtherLaw:
+    """A scenario that is given with another law: for what does not depend on all that the law says."""
 
-    def __init__(self, problem: Any, without: str = "") -> None:
+    def __init__(self, scenario: Any, law: Any) -> None:
+        self._scenario, self.law = scenario, law
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._scenario, name)
+
+
+def without_force(law: Section) -> Section:
+    """Return a law that does not say a force: nothing that is made of it can depend on that."""
+    alone = law.with_valid({})
+    vars(alone).pop("force", None)
+    return alone
+
+
+def forceless(make: Maker) -> Maker:
+    """Return the maker, which reads the part "forceless" as the law; see `without_force`."""
+    return lambda scenario, of: make(OtherLaw(scenario, of.forceless), of)
+
+
+class Asked:
+    """A problem that notes what is read of it, and of its scenario."""
+
+    def __init__(self, problem: Any) -> None:
         self._problem, self._read = problem, dict[str, Any]()
-        self._readers: dict[str, set[int]] = {name: set() for name in (*SECTIONS, *APART)}
-        self.scenario = Watched(self._readers, 0, without)
+        self._readers: dict[str, set[int]] = {name: set() for name in SECTIONS}
+        self.scenario = Watched(self._readers, 0)
         self.scenario.unwatched = problem.scenario
 
     def __getattr__(self, name: str) -> Any:
@@ -106,8 +114,7 @@ class Asked:
     def end(self) -> None:
         """Let the problem go."""
         scenario = vars(self._problem.scenario)
-        read = (name for name, readers in self._readers.items() if readers)
-        self._sections = {(section := name.partition(".")[0]): (scenario[section], name) for name in read}
+        self._sections = {name: scenario[name] for name, readers in self._readers.items() if readers}
         del self._problem, self.scenario, self._readers
 
     def stands_for(self, problem: Any) -> bool:
@@ -116,18 +123,15 @@ class Asked:
             if (now := getattr(problem, name)) is not part and not alike(part, now):
                 return False
         sections = vars(problem.scenario)
-        for name, (part, of) in self._sections.items():
-            if (now := sections[name]) is not part and not alike(part, now, of):
+        for name, part in self._sections.items():
+            if (now := sections[name]) is not part and not alike(part, now):
                 return False
         return True
 
 
-def asking(problem: Any, make: Callable[..., T], *others: Any, without: str = "") -> tuple[T, Asked]:
-    """Return what is made of a problem and of others, and what was read of the problem, which is not kept.
-
-    `without`: a key of `APART` on which what is made cannot depend.
-    """
-    asked = Asked(problem, without)
+def asking(problem: Any, make: Callable[..., T], *others: Any) -> tuple[T, Asked]:
+    """Return what is made of a problem and of others, and what was read of the problem, which is not kept."""
+    asked = Asked(problem)
     made = make(asked, *others)
     asked.end()
     return made, asked
@@ -143,18 +147,15 @@ class Parts:
     `given`: the names of parts that are given, see `turn_to`.
     """
 
-    def __init__(self, makers: Mapping[str, Maker | Without], given: Sequence[str]) -> None:
-        self._makers = tuple((name, make.make if isinstance(make, Without) else make) for name, make in makers.items())
-        without = [make.key if isinstance(make, Without) else "" for make in makers.values()]
+    def __init__(self, makers: Mapping[str, Maker], given: Sequence[str]) -> None:
+        self._makers = tuple(makers.items())
         self._made: dict[str, Any] = dict.fromkeys((*makers, *given), NOTHING)
         self._stale = set(range(len(makers)))  # which of all parts are to be made anew
-        # By section, or key of `APART`, and by part: which parts have read it, or its section without it.
-        self._of_section: dict[str, set[int]] = {name: set() for name in (*SECTIONS, *APART)}
+        # By section and by part: which parts have read it.
+        self._of_section: dict[str, set[int]] = {name: set() for name in SECTIONS}
         self._of_part: dict[str, set[int]] = {name: set() for name in self._made}
         # What each maker is given.
-        self._given = [
-            (Watched(self._of_section, k, without[k]), Made(self._made, self._of_part, k)) for k in range(len(makers))
-        ]
+        self._given = [(Watched(self._of_section, k), Made(self._made, self._of_part, k)) for k in range(len(makers))]
         self._sections: tuple[Any, ...] = (NOTHING,) * len(SECTIONS)
 
     def forget(self, name: str) -> None:
@@ -174,12 +175,10 @@ class Parts:
         for name, one, other in compress(
             zip(SECTIONS, before, self._sections, strict=True), map(is_not, before, self._sections)
         ):
-            for what in (name, *(key for key in APART if key.startswith(f"{name}."))):
-                if (readers := self._of_section[what]) and not alike(one, other, what):
-                    stale |= readers
-                    now = section_without(other, what)
-                    for k in readers:
-                        vars(self._given[k][0])[name] = now
+            if not alike(one, other):
+                stale |= self._of_section[name]
+                for k in self._of_section[name]:
+                    vars(self._given[k][0])[name] = other
         while stale:
             k = min(stale)
             name, make = self._makers[k]
@@ -198,27 +197,15 @@ class Parts:
                 vars(self._given[k][1])[name] = part
 
 
-def section_without(section: Any, of: str) -> Any:
-    """Return a section, without the key if `of` is one and no section's name."""
-    key = of.partition(".")[2]
-    if key and key in vars(section):
-        section = section.with_valid({})
-        del vars(section)[key]
-    return section
-
-
-def alike(one: Any, other: Any, of: str = "") -> bool:
-    """Whether two objects are the same, or words, numbers and sections, alone or in tuples, that are so to the bit.
-
-    Of sections the key does not count if `of` is one.
-    """
+def alike(one: Any, other: Any) -> bool:
+    """Whether two objects are the same, or words, numbers and sections, alone or in tuples, that are so to the bit."""
     if one is other:
         return True
     if type(one) is not type(other) or type(one) is np.ndarray:
         return False
     if isinstance(one, Section):
-        says, its, but = vars(one), vars(other), of.partition(".")[2]
-        return all(says[key] is its[key] or key == but or alike(says[key], its[key]) for key in says)
+        says, its = vars(one), vars(other)
+        return all(said is its[key] or alike(said, its[key]) for key, said in says.items())
     if isinstance(one, tuple):
         return len(one) == len(other) and all(map(alike, one, other))
     if isinstance(one, float):

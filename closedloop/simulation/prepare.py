@@ -48,7 +48,7 @@ from closedloop.simulation.engines import scenario_numbers
 from closedloop.simulation.engines.bind_contacts import contact_rows, placed_contacts
 from closedloop.simulation.engines.problem import STICK_SPEED, Problem
 from closedloop.simulation.loop_calls import have_compiled
-from closedloop.simulation.parts import Cache, Made, Maker, Parts, Watched, Without
+from closedloop.simulation.parts import Cache, Made, Maker, Parts, Watched, forceless, without_force
 from robot_models import RobotModel
 from robot_models.bodies import only_bodies
 from robot_models.model import AT_LIMIT
@@ -319,8 +319,9 @@ def _completed(s: Any, of: Made) -> Scenario | None:
 
 
 # What is made of a scenario as it is given.
-OF_GIVEN: dict[str, Maker | Without] = {
-    "member_digests": Without("law.force", lambda s, of: member_digests(s)),
+OF_GIVEN: dict[str, Maker] = {
+    "forceless": lambda s, of: without_force(s.law),
+    "member_digests": forceless(lambda s, of: member_digests(s)),
     "bare": lambda s, of: of.model_given or of.cache.get(
         ("model", model_key(s)), lambda: load_model(s), lambda model: ROBOT_BYTES
     ),
@@ -413,25 +414,27 @@ def _mode(s: Any, of: Made) -> int:
 
 
 # What is made of a scenario as its run has it. First what is wrong with where it starts is said.
-OF_WHOLE: dict[str, Maker | Without] = {
+OF_WHOLE: dict[str, Maker] = {
+    "forceless": lambda s, of: without_force(s.law),
     "asked": lambda s, of: start_state(s, _model_of(of)),
-    "lengths": Without("law.force", lambda s, of: _refuse(_wrong_lengths(s, _model_of(of)))),
+    "lengths": forceless(lambda s, of: _refuse(_wrong_lengths(s, _model_of(of)))),
     "combinations": lambda s, of: refuse_combinations(s, _model_of(of)),
     "joint_law": lambda s, of: arm.joint_friction_of(s, _model_of(of)),
     "scheme": lambda s, of: time_step.integrator_of(s, of.joint_law),
     "load_friction": lambda s, of: _refuse_load_friction(s, of.joint_law),
-    "states": Without("law.force", lambda s, of: StatesOf.of(s, _model_of(of).n)),
+    "states": forceless(lambda s, of: StatesOf.of(s, _model_of(of).n)),
     "plain": lambda s, of: not scenario_numbers.calls_any_law(s, _model_of(of)),
-    "general": Without("law.force", lambda s, of: not of.plain or scenario_numbers.is_no_papers_law(s.law)),
+    "papers_law": lambda s, of: not scenario_numbers.is_no_papers_law(of.forceless),
+    "general": lambda s, of: not of.plain or not of.papers_law,
     "members_called": lambda s, of: tuple(
         scenario_numbers.entries_of(s, _model_of(of), of.general, of.joint_law).items()
     ),
     "loop_settings": lambda s, of: tuple(scenario_numbers.settings_of(s, _model_of(of)).items()),
     "record": lambda s, of: scenario_numbers.record_of(s, of.states),
-    "period": Without("law.force", lambda s, of: s.law.sample_period),
+    "period": lambda s, of: of.forceless.sample_period,
     "count": lambda s, of: time_step.steps_and_hold(s, of.period, of.record.width),
     "believed_law": lambda s, of: _believed_compensation(s),
-    "sampling": Without("law.force", lambda s, of: _check_compensation(s, of.believed_law)),
+    "sampling": forceless(lambda s, of: _check_compensation(s, of.believed_law)),
     "compiling": _compiling,
     "h": lambda s, of: s.time.step,
     "friction": lambda s, of: scenario_numbers.pack_friction(s.friction, _model_of(of).n),
@@ -468,7 +471,7 @@ OF_WHOLE: dict[str, Maker | Without] = {
     "table": _table,
     "draws": _draws,
     "wanted": lambda s, of: Desired(of.path[0].tip, of.path[0].joints, s.force_profile, s.law.force),
-    "pd_start": Without("law.force", lambda s, of: _pd_start(s, of.path[0].tip)),
+    "pd_start": forceless(lambda s, of: _pd_start(s, of.path[0].tip)),
     "law": lambda s, of: scenario_numbers.pack_law(
         s.law.with_valid({"pd_start": of.pd_start}) if isinstance(s.law, PaperLaw) else s.law, _model_of(of).n,
         _model_of(of).joint_names,
@@ -481,7 +484,7 @@ OF_WHOLE: dict[str, Maker | Without] = {
 
 # Those of these that are numbers of the problem as they are.
 NUMBERS = (
-    "robot", "h", "general", "members_called", "loop_settings", "record", "friction", "compensation",
+    "robot", "h", "general", "papers_law", "members_called", "loop_settings", "record", "friction", "compensation",
     "joint_friction", "compliance", "sensor", "encoder", "transmission", "drives", "stabiliser", "project",
     "tendons", "stops", "ends", "has_loops", "there", "placed", "forces", "wanted", "pd_start", "law", "mode",
     "shape",

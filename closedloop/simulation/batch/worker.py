@@ -234,7 +234,7 @@ class Worker:
     def _kind_of(self, problem: Problem) -> Kind | None:
         """Return `kind_of`, that of the run before where this one says the same."""
         if self._kind is None or not self._kind[1].stands_for(problem):
-            self._kind = asking(problem, kind_of, without="law.force")
+            self._kind = asking(problem, kind_of)
         return self._kind[0]
 
     def _run_in_lanes(self, lane_runs: LaneRuns, scenarios: Sequence[Scenario]) -> list[Outcome] | None:

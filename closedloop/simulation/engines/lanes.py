@@ -76,7 +76,7 @@ from closedloop.simulation.engines.loops import (
     set_rows,
 )
 from closedloop.simulation.engines.problem import Problem
-from closedloop.simulation.engines.scenario_numbers import needs_general_form
+from closedloop.simulation.engines.scenario_numbers import asks_for_more, is_no_papers_law
 from closedloop.simulation.ensemble.member import strike
 
 # Status: a run could not go on by itself, or one of those that never do is near a singular pose.
@@ -315,6 +315,11 @@ FEWEST = 3
 
 def can_use_lanes(scenario: Scenario) -> bool:
     """Whether a scenario may run in lanes: the paper's law, and one tip with or without a surface that ships."""
+    return not is_no_papers_law(scenario.law) and _but_for_the_law(scenario)
+
+
+def _but_for_the_law(scenario: Scenario) -> bool:
+    """Whether all but its law lets a scenario run in lanes."""
     members: tuple[Any, ...] = scenario.friction, scenario.compliance, scenario.surface, scenario.surface_motion
     smooth = scenario.friction.kind == "none"
     return (
@@ -326,7 +331,7 @@ def can_use_lanes(scenario: Scenario) -> bool:
         and not INTEGRATORS[scenario.time.integrator].time_stepping
         and (smooth or scenario.friction.sticks == "rigid")
         and all(type(each).__module__.startswith("closedloop.") for each in members)
-        and not needs_general_form(scenario if smooth else scenario.model_copy(update={"friction": NoFriction()}))
+        and not asks_for_more(scenario if smooth else scenario.model_copy(update={"friction": NoFriction()}))
     )
 
 
@@ -350,7 +355,8 @@ def kind_of(problem: Problem) -> Kind | None:
     members = scenario.friction, scenario.compliance, scenario.surface, scenario.surface_motion
     law = problem.restitution
     if (
-        not can_use_lanes(scenario)
+        not problem.papers_law
+        or not _but_for_the_law(scenario)
         or robot.model.loops
         or robot.model.balls
         or len(robot.model.undriven)

@@ -246,6 +246,7 @@ class Problem:
     forces: Array  # (P,): the desired force at every row of the table, N
     bare_table: Array  # the table but for the force, where it has that of another problem of the same path
     general: bool  # whether the law is called by address
+    papers_law: bool  # whether the law is the paper's
     # What the loop calls by address of the scenario's members, by the names that `State` has for it
     members_called: tuple[tuple[str, Any], ...]
     # What sections say of the loop beside numbers, see `closedloop.loop.step.memory.Settings`

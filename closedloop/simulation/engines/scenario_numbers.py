@@ -75,11 +75,6 @@ def sticking(friction: PackedLaw) -> int:
 _DRIVES, _SENSOR, _MODEL_ERROR, _BELIEF = DrivesSection(), SensorSection(), ModelErrorSection(), BeliefSection()
 
 
-def needs_general_form(scenario: Scenario) -> bool:
-    """Whether a scenario is more than the paper's law on a smooth surface, see `closedloop.loop.step.evaluate`."""
-    return is_no_papers_law(scenario.law) or asks_for_more(scenario)
-
-
 def is_no_papers_law(law: ControlLaw) -> bool:
     """Whether a law is another than the paper's."""
     return law.kind != "paper" or law.force_feedback > 0.0 or law.force_integral > 0.0
@@ -100,7 +95,7 @@ def asks_for_more(scenario: Scenario) -> bool:
 
 
 def calls_law(scenario: Scenario, model: RobotModel) -> bool:
-    """Whether the law is called by address: see `needs_general_form`."""
+    """Whether the law is called by address, see `closedloop.loop.step.evaluate`."""
     return is_no_papers_law(scenario.law) or calls_any_law(scenario, model)
 
 

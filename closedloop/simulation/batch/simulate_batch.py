@@ -140,7 +140,7 @@ def table_of(
     told = ("status", "verdict", "control", "reason", "rows", "end_time")
     data += [[getattr(outcome, name) for outcome in outcomes] for name in told]
     data += list(measures.T)
-    data += [_by_joint([outcome.values[WIDTH:] for outcome in outcomes], m) for m in range(len(JOINT_MEASURES))]
+    data += _by_joint([outcome.values[WIDTH:].reshape(len(JOINT_MEASURES), -1) for outcome in outcomes])
     arrays: list[Any] = [
         values.cast(field.type) if isinstance(values, pa.Array) else pa.array(values, field.type, from_pandas=True)
         for values, field in zip(data, columns, strict=False)
@@ -152,14 +152,13 @@ def table_of(
     return pa.table(arrays, schema=columns)
 
 
-def _by_joint(values: Sequence[Array], which: int) -> pa.Array:
-    """Return one of `JOINT_MEASURES` of each run, as a list of a number for each joint, empty if nothing ran."""
+def _by_joint(values: Sequence[Array]) -> list[pa.Array]:
+    """Return each of `JOINT_MEASURES`, of runs with (measures, n) values: lists of a number for each joint."""
     import pyarrow as pa
 
-    parts = [own.reshape(len(JOINT_MEASURES), -1)[which] for own in values]
-    ends = np.cumsum([0, *(part.size for part in parts)])
-    flat = pa.array(np.concatenate([np.empty(0), *parts]), pa.float64(), from_pandas=True)
-    return pa.ListArray.from_arrays(pa.array(ends, pa.int32()), flat)
+    ends = pa.array(np.cumsum([0, *(own.shape[1] for own in values)]), pa.int32())  # n = 0 if nothing ran
+    flat = [pa.array(row, pa.float64(), from_pandas=True) for row in np.concatenate(values, axis=1)]
+    return [pa.ListArray.from_arrays(ends, each) for each in flat]
 
 
 def _whole_column(column: Array | None, kind: pa.DataType) -> pa.Array:

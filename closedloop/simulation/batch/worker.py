@@ -15,12 +15,10 @@ import traceback
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from closedloop.base.arrays import Array
 from closedloop.base.errors import ClosedLoopError, SingularClosureError, faults_on_one_line, one_line
@@ -83,27 +81,20 @@ def control_in_lanes(runs: LaneRuns, lane: int, scenario: Scenario, values: Arra
     and that it is near, which is so in most runs of a sweep, the rows are not gone over.
     """
     if runs.kind.many:
-        problem, found, events = runs.by_itself(lane)
+        problem, _, found, events = runs.by_itself(lane)
         return control_of_rows(problem, found, events, values, None)
     worst, count = runs.worst(slice(lane, lane + 1)), runs.kind.steps + 1
     only_force, near = _first_look(worst, count)
     if only_force and not control_verdict.negative_gain(scenario):
         if near:
             return GOOD
-        scale, unknown = math.sqrt(worst.wanted_squared / count), list[str]()
-        return _told((control_verdict.judge_force(runs.miss(lane), scale, runs.kind.h, _rows(count), unknown), unknown))
-    wanted, force, along, tip = runs.signals(lane)
+        rows, scale, unknown = np.arange(count), math.sqrt(worst.wanted_squared / count), list[str]()
+        return _told((control_verdict.judge_force(runs.miss(lane), scale, runs.kind.h, rows, unknown), unknown))
     # In contact from the start, only by how much the path rises off the surface counts.
-    path = along, tip @ runs.normal(lane), tip
-    signals = control_verdict.signals_of(
-        scenario, runs.kind.h, force, wanted, np.ones(count, dtype=bool), path, np.empty(0)
-    )
+    wanted, force, path = runs.signals(lane)
+    touching = np.ones(count, dtype=bool)
+    signals = control_verdict.signals_of(scenario, runs.kind.h, force, wanted, touching, path, np.empty(0))
     return _told(control_verdict.judge_control(signals, {}))
-
-
-@lru_cache(maxsize=8)
-def _rows(count: int) -> NDArray[np.int64]:
-    return np.arange(count)
 
 
 def control_of_rows(problem: Problem, found: Array, events: Array, values: Any, stopped: str | None) -> str:
@@ -277,7 +268,7 @@ class Worker:
         forget_absent(scenarios[0], values)
         swings = self._unresolved_feedbacks(scenarios, kind.robot)
         if kind.many:
-            swings = [_unresolved_at(*lane_runs.first(i)) + said for i, said in enumerate(swings)]
+            swings = [_unresolved_at(*lane_runs.by_itself(i)[:2]) + said for i, said in enumerate(swings)]
         verdicts = verdicts_of(scenarios, kind.robot, values, kind.steps, swings)
         controls = control_of_lanes(lane_runs, scenarios, values)
         return [

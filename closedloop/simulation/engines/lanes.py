@@ -461,7 +461,6 @@ class LaneRuns:
         self._addresses.members = address_of(self._alone) if kind.many else 0
         self._tables: list[Array] = []
         self._given: list[Array] = []  # the force of each
-        self._misses, self._has_misses = np.empty((WIDE, like.steps + 1)), False
 
     @property
     def bytes(self) -> int:
@@ -492,7 +491,7 @@ class LaneRuns:
             part[..., count:] = part[..., :1]  # unused lanes repeat the first
         addresses = [address_of(table) for table in self._tables[:count]]
         tables = np.array(addresses + addresses[:1] * (WIDE - count))
-        self._state.batched, self._has_misses = 0, False
+        self._state.batched = 0
         if self.kind.many:
             self._alone[:] = [self._members[i if i < count else 0].address for i in range(WIDE)]
         make_ready(run_in_lanes)
@@ -515,15 +514,11 @@ class LaneRuns:
             plain(count_events)(member.told, Values(own, self.n))
         return values
 
-    def by_itself(self, lane: int) -> tuple[Problem, Array, Array]:
-        """Return the problem of a lane, its signals (CONTROL, N), see `write_control`, and its table of events."""
+    def by_itself(self, lane: int) -> tuple[Problem, Row, Array, Array]:
+        """Return the problem of a lane, the first row of its run by itself, its signals (CONTROL, N), see
+        `write_control`, and its table of events."""
         member = self._members[lane]
-        return member.problem, self._signals[:, :, lane], member.told
-
-    def first(self, lane: int) -> tuple[Problem, Row]:
-        """Return the problem of a lane, and the first row of its run by itself."""
-        member = self._members[lane]
-        return member.problem, Row(member.window[0], self.n)
+        return member.problem, Row(member.window[0], self.n), self._signals[:, :, lane], member.told
 
     def worst(self, lanes: slice) -> Worst:
         """Return what a first look at the control goes by: the worst of these runs."""
@@ -534,21 +529,17 @@ class LaneRuns:
 
     def miss(self, lane: int) -> Array:
         """Return f − f_des, (N,)."""
-        if not self._has_misses:  # of all lanes at once: they are in the same cache lines
-            np.copyto(self._misses, self._signals[:, 0].T)
-            self._has_misses = True
-        return self._misses[lane]
+        return self._signals[:, 0, lane].copy()
 
-    def signals(self, lane: int) -> tuple[Array, Array, Array, Array]:
-        """Return f_des, (N,), f, (N,), the tip less its path along the surface, (N, 3), and the path, (N, 3)."""
-        n, nodes = self.n, self._sizes.nodes
+    def signals(self, lane: int) -> tuple[Array, Array, tuple[Array, Array, Array]]:
+        """Return f_des and f, (N,), and of the path what `closedloop.record.report.control_verdict.signals_of` takes.
+
+        That is the tip less its path along the surface, (N, 3), the path along the normal, (N,), and the path, (N, 3).
+        """
+        n, nodes, frame = self.n, self._sizes.nodes, self._work.tip.frame[..., lane].copy()
         wanted, own = self._forces[::nodes, lane].copy(), self._signals[:, :, lane].T.copy()
-        along = own[1:].T @ self._work.tip.frame[1:, :, lane]
-        return wanted, wanted + own[0], along, self._tables[lane][::nodes, Reference.place("position", n)]
-
-    def normal(self, lane: int) -> Array:
-        """Return the normal (3,) of the plane."""
-        return self._work.tip.frame[0, :, lane].copy()
+        path = self._tables[lane][::nodes, Reference.place("position", n)]
+        return wanted, wanted + own[0], (own[1:].T @ frame[1:], path @ frame[0], path)
 
     def rows(self, lane: int) -> Array:
         """Return the rows of a run, if they were kept; the next run overwrites them."""

@@ -11,7 +11,7 @@ import closedloop as cl
 import robot_models
 from closedloop.command.sweep import main as run_sweeps
 from closedloop.record.report import print_report
-from closedloop.record.report.measures import JOINT_MEASURES, MEASURES, alternation
+from closedloop.record.report.measures import JOINT_MEASURES, MEASURES, Values, alternation
 from closedloop.record.report.summary import joint_measures
 from closedloop.record.report.verdict import (
     Facts,
@@ -19,6 +19,8 @@ from closedloop.record.report.verdict import (
     judge,
     names_of,
     probable_reason,
+    verdict_of,
+    verdicts_of,
 )
 
 SHORT = {"time.duration": 0.65}
@@ -119,6 +121,33 @@ def test_every_bound_from_both_sides(own, inside, beyond, name):
 def test_what_is_missing_never_passes(figure, value):
     """A value that does not exist, or is no number, is judged bad."""
     assert told(facts(**{figure: value})) != "good"
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -1e3, 0.0, 1e-3, 1.0, 1e3])
+@pytest.mark.parametrize("rest", [1e-7, 1.0])
+def test_runs_of_one_set_are_judged_as_alone(rest, value):
+    """Any value of any run of eight may be good or bad: the verdicts of the set are those of its runs, each alone."""
+    robot, n = cl.Robot(robot_models.load("wam4"), "tip"), 4
+    scenarios, said = [cl.load_scenario("wam_slide")] * 8, [[]] * 8
+    good = np.zeros(Values.count(n))
+    one = Values(good, n)
+    one.failed_at[:], one.energy_exchanged, one.max_kinetic_energy, one.max_energy_residual = np.nan, 1.0, rest, 0.05
+    one.max_abs_closure_error, one.start_closure_error = 1.5e-4, 1e-4
+    for name in JOINT_MEASURES:
+        getattr(one, name)[:] = np.nan if name.endswith("_at") else 0.0
+    assert verdicts_of(scenarios, robot, np.tile(good, (8, 1)), 8000, said) == ["good"] * 8
+    several = set()
+    for at in range(good.size):
+        if len(MEASURES) <= at < Values.place("failed_at", n).start and not np.isfinite(value):
+            continue  # how many events there were is a number
+        values = np.tile(good, (8, 1))
+        values[3, at] = value
+        alone = [verdict_of(scenario, robot, own, 8000) for scenario, own in zip(scenarios, values, strict=True)]
+        assert verdicts_of(scenarios, robot, values, 8000, said) == alone, at
+        several |= set(alone)
+    assert len(several) > 2
+    said[7] = ["a line"]
+    assert verdicts_of(scenarios, robot, np.tile(good, (8, 1)), 8000, said) == ["good"] * 7 + ["resolution"]
 
 
 def test_a_better_integrator_must_leave_less():

@@ -443,9 +443,9 @@ def verdict_of(
     return names_of(judge(facts, lambda: gains_fault(scenario, robot)))
 
 
-# Of what a bound is a share of, or is added to, the least is the worst; of instants the first.
-_LEAST = ("energy_exchanged", "energy_lost_to_friction", "max_kinetic_energy", "start_closure_error")
-_LEAST_AT = [list(MEASURES).index(name) for name in (*_LEAST, "singular_pose_passed")]
+# Of what a bound is a share of, or is added to, the least is the worst, of some in size; of instants the first.
+_LEAST = [list(MEASURES).index(name) for name in ("energy_exchanged", "max_kinetic_energy", "singular_pose_passed")]
+_LEAST_IN_SIZE = [list(MEASURES).index(name) for name in ("energy_lost_to_friction", "start_closure_error")]
 
 
 def verdicts_of(
@@ -458,7 +458,8 @@ def verdicts_of(
     first, n, events = scenarios[0], robot.n, values[:, EVENTS_AT:FAILED_AT].any(axis=1)
     if not any(swings) and events.all() == events.any() and all(s.surface is first.surface for s in scenarios):
         worst, names = values.max(axis=0), list(JOINT_MEASURES)
-        worst[_LEAST_AT] = np.abs(values[:, _LEAST_AT]).min(axis=0)
+        worst[_LEAST] = values[:, _LEAST].min(axis=0)
+        worst[_LEAST_IN_SIZE] = np.abs(values[:, _LEAST_IN_SIZE]).min(axis=0)
         instants = [WIDTH + n * m + j for m, name in enumerate(names) if name.endswith("_at") for j in range(n)]
         instants += range(FAILED_AT, WIDTH)
         worst[instants] = np.fmin.reduce(values[:, instants], axis=0)

@@ -205,7 +205,7 @@ def alike(one: Any, other: Any) -> bool:
         return False
     if isinstance(one, Section):
         says, its = vars(one), vars(other)
-        return all(said is its[key] or alike(said, its[key]) for key, said in says.items())
+        return says == its and all(said is its[key] or alike(said, its[key]) for key, said in says.items())  # 0 == −0
     if isinstance(one, tuple):
         return len(one) == len(other) and all(map(alike, one, other))
     if isinstance(one, float):

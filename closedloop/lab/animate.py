@@ -46,10 +46,7 @@ FINE = 2
 
 
 class Picture:
-    """The figure of a film, whose parts move; without a panel of curves that of space alone, without title or clock.
-
-    `view` is the middle (3,) and half the width, m, of what is seen; if left out all of it.
-    """
+    """The figure of a film, whose parts move; of a `view`, the middle (3,) and half the width, m, or of all."""
 
     def __init__(self, scene: Scene, panel: Panel | None, view: tuple[Array, float] | None = None) -> None:
         self.scene, run = scene, scene.run
@@ -90,10 +87,7 @@ class Picture:
         self._still = self._canvas.copy_from_bbox(figure.bbox)
 
     def pixels(self, row: int, said: str = "") -> NDArray[np.uint8]:
-        """Return the picture of a row of the run: red, green, blue and opacity of its pixels (height, width, 4).
-
-        `said` stands in its corner; beside curves it is the time.
-        """
+        """Return a row of the run as pixels (height, width, 4), with `said` in the corner, beside curves the time."""
         scene, run, there = self.scene, self.scene.run, self.scene.joint_places(row)
         self._canvas.restore_region(self._still)
         self._done.set_data_3d(*run.position[: row + 1 : max(1, row // 300)].T)
@@ -121,11 +115,9 @@ class Picture:
     def _draw_curves(self, plot: Any, panel: Panel) -> Any:
         """Draw the curves, and return the line that marks the instant."""
         for trace in panel.traces:
-            style = "--" if trace.limit else "-"
-            named = not trace.limit or len(panel.traces) <= MOST_NAMED
-            plot.plot(
-                panel.time, trace.values, style, color=trace.colour, linewidth=1.2, label=trace.label if named else None
-            )
+            named = trace.label if not trace.limit or len(panel.traces) <= MOST_NAMED else None
+            style = {"linestyle": "--" if trace.limit else "-", "color": trace.colour, "linewidth": 1.2}
+            plot.plot(panel.time, trace.values, label=named, **style)
         widen(plot, FINEST * max(abs(end) for end in plot.get_ylim()))
         plot.set(xlabel="time [s]", ylabel=panel.title)
         handles, names = plot.get_legend_handles_labels()
@@ -153,10 +145,7 @@ class Picture:
 
 
 class Solids:
-    """Shapes as triangles, of which the nearest is seen at each point of the picture.
-
-    `colour`: of all, in place of their own.
-    """
+    """Shapes as triangles, of which the nearest is seen at each point; `colour` is in place of their own."""
 
     def __init__(
         self, shapes: Sequence[Shape], colour: tuple[float, float, float] | None = None, opacity: float = 1.0
@@ -176,10 +165,9 @@ class Solids:
         return np.einsum("kij,kj->ki", axes[self._joints], self._vertices) + origins[self._joints]
 
     def seen(self, space: Any, axes: Array, origins: Array) -> NDArray[np.uint8]:
-        """Return what is seen of them in the panel `space`, where the joints' frames are so.
+        """Return what is seen of them in the panel `space`, where the joints' frames are so, in the light of the page.
 
-        Red, green, blue and opacity (height, width, 4) of the panel's pixels, the first row below. The light is that of
-        the page.
+        Red, green, blue and opacity (height, width, 4), the first row below.
         """
         points, box = self.points(axes, origins), space.bbox
         projected = np.column_stack([points, np.ones(len(points))]) @ np.asarray(space.M).T
@@ -206,11 +194,9 @@ class Solids:
 
 
 def nearest_triangles(corners: Array, size: tuple[int, int]) -> NDArray[np.int64]:
-    """Return the number of the nearest triangle that covers each point of a picture (height, width), -1 for none.
+    """Return the number of the nearest triangle at each point of a picture (height, width), -1 for none.
 
-    Each row of points that a triangle reaches is cut by its three edges: what is left are the points that it covers.
-
-    `corners` (k, 3, 3): x to the right and y upwards, points of the picture; depth, larger is farther.
+    Each row of points is cut by a triangle's edges. `corners` (k, 3, 3): points to the right and up, and the depth.
     """
     height, width = size
     x, y, z = np.moveaxis(corners, 2, 0)
@@ -287,12 +273,6 @@ def ffmpeg_program() -> str | None:
         return None
 
 
-def _rows(run: Run, speed: float, frames_per_second: int) -> NDArray[np.int64]:
-    count = max(2, round(float(run.time[-1]) / speed * frames_per_second) + 1)
-    instants = np.minimum(np.arange(min(count, MOST_FRAMES + 1)) * speed / frames_per_second, run.time[-1])
-    return np.minimum(np.round(instants / run.scenario.time.step), len(run) - 1).astype(np.int64)
-
-
 def write_film(
     scene: Scene, panel: Panel, path: Path, *, speed: float = 1.0, frames_per_second: int = FRAMES_PER_SECOND
 ) -> Path:
@@ -306,14 +286,14 @@ def write_film(
         raise ScenarioError(
             f"speed = {speed:g}, frames_per_second = {frames_per_second}: must be above 0, and from 1 to 100"
         )
-    rows = _rows(run, speed, frames_per_second)
+    count = max(2, round(float(run.time[-1]) / speed * frames_per_second) + 1)
+    instants = np.minimum(np.arange(min(count, MOST_FRAMES + 1)) * speed / frames_per_second, run.time[-1])
+    rows = np.minimum(np.round(instants / run.scenario.time.step), len(run) - 1).astype(np.int64)
     if rows.size > MOST_FRAMES:
         raise ScenarioError(f"speed = {speed:g}: the film would have {rows.size} frames, over {MOST_FRAMES}")
-    ffmpeg = None
-    if path.suffix.lower() == ".mp4":
-        ffmpeg = ffmpeg_program()
-        if ffmpeg is None:
-            raise OutputError(f"{path}: {NEEDS_FFMPEG}")
+    ffmpeg = ffmpeg_program() if path.suffix.lower() == ".mp4" else ""
+    if ffmpeg is None:
+        raise OutputError(f"{path}: {NEEDS_FFMPEG}")
     import matplotlib as mpl
 
     with mpl.rc_context(OWN):
@@ -376,7 +356,6 @@ def _mp4(picture: Picture, rows: NDArray[np.int64], frames_per_second: int, ffmp
                 pass
             said = program.stderr.read().decode(errors="replace").strip()
         if program.returncode:
-            raise OutputError(
-                f"ffmpeg could not write the film: {said.splitlines()[-1] if said else 'it says nothing'}"
-            )
+            why = said.splitlines()[-1] if said else "it says nothing"
+            raise OutputError(f"ffmpeg could not write the film: {why}")
         return file.read_bytes()

@@ -79,8 +79,7 @@ class Answers:
         self, history: History, law: Any = None, model: RobotModel | None = None,
         say: Callable[[str], None] = lambda line: None, part: Callable[[Run], None] = lambda run: None,
     ) -> None:  # fmt: skip
-        self._part = part
-        self._cache = Cache()
+        self._part, self._cache = part, Cache()
         self._history, self.law, self._given, self._say = history, law, model, say
         self._models: dict[Hashable, RobotModel] = {}
         self._ready: set[tuple[Any, ...]] = set()
@@ -95,8 +94,7 @@ class Answers:
             return Answer(changes, key, run, seconds=seconds, effort=effort, **more)
 
         try:
-            scenario = self._history.scenario(changes)
-            return took(self._run(scenario))
+            return took(self._run(self._history.scenario(changes)))
         except SimulationError as error:
             run = error.run if error.run is not None and len(error.run) else None
             return took(run, stopped=one_line(str(error)))
@@ -161,20 +159,16 @@ class Answers:
         """Return the compiled engine where it covers the scenario and the law, else Pinocchio."""
         if scenario.time.integrator in ADAPTIVE:
             return PINOCCHIO
-        try:
+        with contextlib.suppress(ScenarioError):
             check_engine(scenario, COMPILED, self.law)
-        except ScenarioError:
-            return PINOCCHIO
-        return COMPILED
+            return COMPILED
+        return PINOCCHIO
 
     def _compile(self, scenario: Scenario, model: RobotModel, engine: str) -> bool:
-        """Have compiled what a run of these kinds needs, here and now, and say so if it takes time.
-
-        Return whether these kinds are new.
-        """
+        """Compile what a run of these kinds needs, and say so if it takes time; return whether they are new."""
         sections = (getattr(scenario, name) for name in type(scenario).model_fields)
-        kinds = engine, scenario.surface.contact, *(str(getattr(section, "kind", "")) for section in sections)
-        kinds = *kinds, scenario.time.integrator
+        own = (str(getattr(section, "kind", "")) for section in sections)
+        kinds = engine, scenario.surface.contact, *own, scenario.time.integrator
         if kinds in self._ready or scenario.time.integrator in ADAPTIVE:
             return False
         few = min(FEW, round(scenario.time.duration / scenario.time.step))
@@ -239,19 +233,13 @@ STOPPED = "The lab was closed. What is shown stays; open the lab again to go on.
 
 
 class Lab(Pages):
-    """A lab of one scenario, served to a browser.
+    """A lab of one scenario, served to a browser; the next free port is taken if `port` is in use.
 
-    `law`: a user's law, see `closedloop.simulate`.
-    `port`: the next free one is taken if it is in use.
-    `dark`: whether the page is dark, whatever the system prefers.
-    `front`: whether the page begins with the scenarios that ship, to choose one.
-    `ghosts`: bodies that are shown beside those of each run, until another scenario is chosen.
-    `act`, `details`, `map_work`: the parts that know the whole: `closedloop.lab.start.act`,
-        `closedloop.lab.details.Details`, `closedloop.lab.mapping.MapWork`; see `closedloop.lab.start.begun`.
-    `after_show`, list of callable: called with each `Answer` whose curves were sent.
-    `folder`, Path or None: where folders for files are made; "out" in the current folder if None.
-    Raises ScenarioError or ModelError if the scenario that it begins with is at fault.
-    Raises OutputError if it cannot listen there.
+    `front`: whether the page begins with the scenarios that ship, to choose one; `ghosts`: until one is chosen.
+    `act`, `details`, `map_work`: the parts that know the whole, see `closedloop.lab.start.begun`.
+    `after_show`: functions that are called with each `Answer` whose curves were sent.
+    `folder`: where folders for files are made; "out" in the current folder if None.
+    Raises ScenarioError or ModelError if the scenario is at fault, OutputError if it cannot listen there.
     """
 
     def __init__(
@@ -361,13 +349,12 @@ class Lab(Pages):
         history = self.history
         with self._lock:
             groups = rows_in_groups(self.controls.values(), self.first, history.changes)
-        answer = self.answer
         message = {
             "kind": "controls", "groups": groups, "undo": bool(history.past), "redo": bool(history.future),
             "forced": forced, "changed": len(history.changes), "note": UNSAVED if history.name == IN_A_FILE else "",
         }  # fmt: skip
-        if answer is not None and answer.run is not None:
-            message |= {"command": self.command(answer), "scenario": answer.run.scenario.to_toml()}
+        if self.answer is not None and self.run is not None:
+            message |= {"command": self.command(self.answer), "scenario": self.run.scenario.to_toml()}
         self.tell("controls", message)
 
     def ask(self, key: str = "") -> None:
@@ -398,8 +385,7 @@ class Lab(Pages):
             self.answer = answer
             steps = max(0, len(run) - 1)
             line = answer.stopped or f"{steps} steps in {1e3 * answer.seconds:.0f} ms ({run.engine})"
-            self._send_run(run, line=line, loud=bool(answer.stopped), partial=False,
-                           point=self.map.point(run.scenario), stale=self.map.stale(run.scenario))  # fmt: skip
+            self._send_run(run, line=line, loud=bool(answer.stopped), **self._whole(run))
         self.tell("fault", {"kind": "fault", "key": answer.key, "line": answer.fault}, keep=False)
         if run is not None:
             self.details.ask(answer)
@@ -445,12 +431,12 @@ class Lab(Pages):
         """Send the run to one page again, whose window or columns are others now."""
         answer = self.answer
         if answer is not None and answer.run is not None:
-            found = run_message(
-                answer.run, curves(answer.run, client.window, client.columns, there=self._panels(answer.run)),
-                n=self._count, partial=False,
-                point=self.map.point(answer.run.scenario), stale=self.map.stale(answer.run.scenario),
-            )  # fmt: skip
-            client.put(RUN, pack(found))
+            drawn = curves(answer.run, client.window, client.columns, there=self._panels(answer.run))
+            client.put(RUN, pack(run_message(answer.run, drawn, n=self._count, **self._whole(answer.run))))
+
+    def _whole(self, run: Run) -> Message:
+        """Return what the message of a whole run says besides: where it is on the map."""
+        return {"partial": False, "point": self.map.point(run.scenario), "stale": self.map.stale(run.scenario)}
 
     def say(self, line: str) -> None:
         """Say a line while something is compiled or takes long, also to pages that open meanwhile."""
@@ -477,8 +463,8 @@ class Lab(Pages):
                 if slot in self._last:
                     kept = self._last[slot]
                     client.put(slot, kept if isinstance(kept, bytes) else kept())
-            if self.answer is not None and self.answer.run is not None:  # the map may be newer than the run
-                client.put("point", pack(self.map.where(self.answer.run.scenario)))
+            if self.run is not None:  # the map may be newer than the run
+                client.put("point", pack(self.map.where(self.run.scenario)))
             self.clients.append(client)
         if self.front:
             self.show_gallery(client, front=True)
@@ -491,10 +477,11 @@ class Lab(Pages):
 
         def draw() -> None:
             for name in [card["name"] for card in cards()]:
-                if (data := picture(name)) and client in self.clients:
-                    client.put(f"picture {name}", data)
-                elif client not in self.clients:
+                data = picture(name)
+                if client not in self.clients:
                     return
+                if data:
+                    client.put(f"picture {name}", data)
 
         threading.Thread(target=draw, name="closedloop-gallery", daemon=True).start()
 

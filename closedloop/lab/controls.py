@@ -131,10 +131,7 @@ class Control:
         return min(max(float(self.own), self.low), self.high) if self.form == "linear" else self.own
 
     def read(self, shown: Any) -> Any:
-        """Return the value of the key for what the control shows; None: left out.
-
-        Raises ValueError if the control cannot show that: what comes from a browser may be anything.
-        """
+        """Return the value of the key for what the control shows, None: left out; raise ValueError if it cannot."""
         if self.form == "choice":
             if shown not in self.options:
                 raise ValueError(f"{self.key}: must be one of {', '.join(self.options)}")
@@ -150,6 +147,10 @@ class Control:
             number = nearest_round(10.0**number) if self.key in ROUND else float(f"{10.0**number:.{DIGITS}g}")
         else:
             number = float(f"{number:.9g}")
+        return self.put(number)
+
+    def put(self, number: Any) -> Any:
+        """Return the value of the key with a number in place of this control's own."""
         return number if self.index is None else [*self.value[: self.index], number, *self.value[self.index + 1 :]]
 
     def typed(self, text: str) -> Any:
@@ -160,7 +161,7 @@ class Control:
             number: float = round(float(text)) if self.form == "whole" else float(text)
         except (ValueError, OverflowError):
             raise ValueError(f"{self.key}: {text.strip()[:40]!r} is no number") from None
-        return number if self.index is None else [*self.value[: self.index], number, *self.value[self.index + 1 :]]
+        return self.put(number)
 
     def together(self, value: Sequence[float]) -> list[float]:
         """Return the list of which this control's entry is as in `value`, and all others changed by the same factor."""
@@ -180,11 +181,7 @@ class Control:
 
 
 def controls(scenario: Scenario, section: str, model: RobotModel | None = None) -> list[Control]:
-    """Return the controls of a section of a scenario, that of its kind first, then the force if it has one.
-
-    `section`: such as "law".
-    `model`: its joints' names and bounds; without it lists are counted.
-    """
+    """Return the controls of a section, its kind first, then the force; without a `model` lists are counted."""
     held = getattr(scenario, section)
     if table_type(section):
         return list(_of_tables(section, held or (), scenario))
@@ -215,7 +212,7 @@ def controls(scenario: Scenario, section: str, model: RobotModel | None = None) 
 def _of_tables(section: str, tables: Sequence[Section], scenario: Scenario) -> Iterator[Control]:
     """Yield the controls of the numbers of each table of a list, with the table's name in their label.
 
-    Before them, where there are several tables: one for each number that all have, and have alike. It sets all.
+    Before them one for each number that several tables all have alike: it sets all.
     """
     first = tables[0] if len(tables) > 1 else None
     for key, field in type(first).model_fields.items() if first is not None else ():
@@ -248,7 +245,7 @@ def _of_field(key: str, field: FieldInfo, value: Any, scenario: Scenario, model:
     names = next((one for one in field.metadata if isinstance(one, OneOf)), None)
     options = tuple(names.names()) if names else tuple(map(str, get_args(field.annotation)))
     if names or get_origin(field.annotation) is Literal:
-        chosen = options if value in options else (*options, str(value))
+        chosen = dict.fromkeys((*options, str(value)))
         return [make("choice", value=str(value), options=tuple(o for o in chosen if o != "auto"))]
     if isinstance(value, bool):
         return [make("flag", value=value)]
@@ -259,21 +256,21 @@ def _of_field(key: str, field: FieldInfo, value: Any, scenario: Scenario, model:
     if isinstance(value, float | int):
         return [make(**span(key, field, float(value), unit, scenario), value=float(value))]
     if isinstance(value, tuple) and value and all(isinstance(entry, float | int) for entry in value):
-        of_joints: tuple[str, ...] = () if model is None else model.joint_names
-        types: tuple[str, ...] = () if model is None else model.joint_types
+        of_joints, types = ((), ()) if model is None else (model.joint_names, model.joint_types)
         if model is not None and key == "start.q":
             of_joints, types = model.coordinate_names, model.coordinate_types
         by_joint = len(of_joints) == len(value) and key.partition(".")[0] not in NO_JOINTS
         counted = ("x", "y", "z") if len(value) == 3 else tuple(map(str, range(len(value))))
         entries = of_joints if by_joint else counted
-        of_law = model is not None and by_joint and key.startswith("law.")
-        drives = model.driven.tolist() if model is not None and of_law else [True] * len(value)
+        drives = [True] * len(value)
+        if model is not None and by_joint and key.startswith("law."):
+            drives = model.driven.tolist()  # a law moves no other joint
         known = {"prismatic": SLIDING.get(unit, unit), "quaternion": "1"}
         units = [known.get(kind, unit) for kind in types] if by_joint else [unit] * len(value)
         return [
             make(**span(key, field, float(value[k]), units[k], scenario, k, model), of=f"{label} {entries[k]}", index=k,
                  value=list(value), unit=units[k])
-            for k in range(len(value)) if drives[k]  # a law moves no other joint
+            for k in range(len(value)) if drives[k]
         ]  # fmt: skip
     return [make("text", value=value)]
 
@@ -354,10 +351,7 @@ def all_controls(scenario: Scenario, model: RobotModel, law: str = "") -> dict[t
 
 
 def rows_in_groups(found: Iterable[Control], first: dict[tuple[str, int | None], Any], changes: Changes) -> list[Row]:
-    """Return the groups that have controls, in order, each with its rows.
-
-    `first`: the value with which each began, by key and number of the entry.
-    """
+    """Return the groups that have controls, each with its rows; `first` has the values with which they began."""
     groups: dict[str, list[Row]] = {name: [] for name in ORDER}
     opened = set(OPEN)
     for control in found:

@@ -212,11 +212,9 @@ def _verdict(label: str, problems: Sequence[Mapping[str, Any]], text: str, hint:
 
 def _change(number: float, before: float | None, less: bool, factor: float, name: str) -> Tile:
     """Return how a value differs from that of another run, and whether it is better."""
-    if before is None:
+    if before is None or abs(number - before) <= ALIKE * max(abs(number), abs(before)):
         return {}
     change = number - before
-    if abs(change) <= ALIKE * max(abs(number), abs(before)):
-        return {}
     return {"change": f"{factor * change:+.2g}", "better": (change < 0.0) == less, "against": name}
 
 
@@ -348,10 +346,7 @@ def _note(run: Run, errors: Array, times: float = 1.0) -> str:
 
 
 def _loops(run: Run) -> Panel:
-    """Return how far each loop joint is from closed: the largest error of its rows, be it a length or an angle.
-
-    In `MOST_LOOPS` rows at most: an error of positions has no jumps, and all rows take longer than the screen shows.
-    """
+    """Return how far each loop joint is from closed, in `MOST_LOOPS` rows at most: its errors have no jumps."""
     rows = np.unique(np.linspace(0, len(run) - 1, min(MOST_LOOPS, len(run))).round().astype(np.int64))
     errors = np.abs(errors_in(run, rows))
     parts = np.split(errors, np.cumsum([loop.rows for loop in run.model.loops])[:-1], axis=1)
@@ -382,11 +377,9 @@ def _torques(run: Run) -> list[Panel]:
     for joints, share in ((driven[limited], True), (driven[~limited], False)):
         if not len(joints):
             continue
-        values = run.torque[:, joints]
+        values, names = run.torque[:, joints], run.model.joint_names
         values = 100.0 * values / run.model.effort_limit[joints] if share else values
-        traces = [
-            Trace(run.model.joint_names[j], COLOURS[j % len(COLOURS)], values[:, k]) for k, j in enumerate(joints)
-        ]
+        traces = [Trace(names[j], COLOURS[j % len(COLOURS)], values[:, k]) for k, j in enumerate(joints)]
         if share:
             level = np.full(len(run), 100.0)
             traces += [Trace("limit", COLOURS[6], level, limit=True), Trace("-limit", COLOURS[6], -level, limit=True)]
@@ -438,9 +431,8 @@ def column_panel(run: Run, name: str) -> Panel:
     values = np.asarray(run.columns[name], dtype=float).reshape(len(run), -1)
     count = values.shape[1]
     of_joints = run.model.joint_names if count == run.model.n else run.model.coordinate_names
-    labels = (
-        of_joints if count in (run.model.n, len(of_joints)) and count > 1 else ("x", "y", "z") if count == 3 else ()
-    )
+    named = count in (run.model.n, len(of_joints)) and count > 1
+    labels = of_joints if named else ("x", "y", "z") if count == 3 else ()
     traces = tuple(
         Trace(labels[k] if labels else name if count == 1 else f"{name} {k}", COLOURS[k % len(COLOURS)], values[:, k])
         for k in range(count)

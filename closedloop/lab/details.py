@@ -30,6 +30,8 @@ GIVE_WAY = 0.3
 LATER = 0.3
 # Poles that are listed, and points of a curve over the frequency.
 POLES, POINTS = 12, 400
+LESS_IS_BETTER = ("rms_force_error", "force_settled_at", "rms_path_error", "max_abs_closure_error")
+NO_LOOP = "a law that is a function is not linearised: make it a class of ControlLaw"
 
 
 class Details:
@@ -40,8 +42,8 @@ class Details:
         self._robot = 0
         self._cache = Cache()
         self.begin()
-        self._work: Newest[Answer, None] = Newest(self._follow, lambda nothing: None, REST, OFTEN, lab.computes)
-        self._loop: Newest[Answer, None] = Newest(self._analyse, lambda nothing: None, LATER, 5.0, lab.computes)
+        self._work: Newest[Answer, None] = Newest(self._follow, rest=REST, most=OFTEN, held=lab.computes)
+        self._loop: Newest[Answer, None] = Newest(self._analyse, rest=LATER, most=5.0, held=lab.computes)
 
     def begin(self) -> None:
         """Forget what was before: another scenario is shown."""
@@ -123,11 +125,9 @@ class Details:
         lab.wait_for_plots(GIVE_WAY)
         if run is None or answer is not lab.answer:
             return
-        line = ""
-        if lab.answers.law is not None:
-            line = "a law that is a function is not linearised: make it a class of ControlLaw"
-        else:
-            try:
+        margins, message = None, {"kind": "analysis", "line": NO_LOOP}
+        try:
+            if lab.answers.law is None:
                 end = run.scenario.time.duration
                 at = 0.5 * end if self.at is None else min(self.at, end)
                 model = lab.answers.model(run.scenario)
@@ -138,16 +138,13 @@ class Details:
                 loop = loop_at(problem, instant)
                 lab.wait_for_plots(GIVE_WAY)
                 found = overview(loop)
-            except ClosedLoopError as error:
-                line = one_line(str(error))
+                margins, message = found.margins.as_dict(), analysis_message(found)
+        except ClosedLoopError as error:
+            message["line"] = one_line(str(error))
         if run.scenario.name != lab.history.base.name:
             return  # of a scenario that was left meanwhile
-        if line:
-            self._margins = None
-            lab.tell("analysis", {"kind": "analysis", "line": line})
-        else:
-            self._margins = found.margins.as_dict()
-            lab.tell("analysis", analysis_message(found))
+        self._margins = margins
+        lab.tell("analysis", message)
         if answer is lab.answer:
             if self._began is not None and self._began[2] is None and not answer.changes:
                 self._began = (*self._began[:2], self._margins)
@@ -187,10 +184,6 @@ def compare_message(pins: list[Pin], run: Run, changes: Changes) -> Message:
         told = "(" in text and name.partition(" ")[0] in LESS_IS_BETTER
         return [text, lower if told else None]
 
-    rows = (
-        [[name, *(cell(name, text) for text in cells)] for name, cells in compared(pins, run, changes)] if pins else []
-    )
+    table = compared(pins, run, changes) if pins else []
+    rows = [[name, *(cell(name, text) for text in cells)] for name, cells in table]
     return {"kind": "compare", "columns": [{"name": p.name, "colour": p.colour} for p in pins], "rows": rows}
-
-
-LESS_IS_BETTER = ("rms_force_error", "force_settled_at", "rms_path_error", "max_abs_closure_error")

@@ -218,10 +218,7 @@ def focus(scene: Scene) -> tuple[NDArray[np.float64], float]:
 
 
 def frames(scene: Scene, rows: Rows, between: Callable[[], object] = lambda: None) -> Message:
-    """Return a replay: instants, places of joints, surface and marks (quaternion, origin), forces and their tails.
-
-    `between` is called after every few rows.
-    """
+    """Return a replay: instants, places (quaternion, origin), forces and tails; `between` runs after every few rows."""
     run = scene.run
     arrows: list[Any] = []
     places: list[NDArray[np.float64]] = []
@@ -248,10 +245,7 @@ def spread(run: Run, most: int = FRAMES) -> NDArray[np.int64]:
 
 
 def _shapes(scene: Scene) -> Iterator[tuple[int, str, Shape, Message]]:
-    """Yield the robot's shapes, the marks of its loop joints and the ghosts, each with the number of its place.
-
-    Then what it is, and for a ghost how much it hides.
-    """
+    """Yield the shapes of robot, loop joints and ghosts: number of its place, kind, shape, and what hides of a ghost."""
     for shape in scene.shapes:
         yield shape.joint, "", shape, {}
     after = len(scene.joint_places(0)[0]) + 1

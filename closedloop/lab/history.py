@@ -8,6 +8,7 @@ A run's page is the page of the lab without its server, in a file that needs no 
 """
 
 import html
+import secrets
 import shlex
 import tempfile
 import threading
@@ -25,7 +26,7 @@ from closedloop.figures.scene.solids import Ghost
 from closedloop.lab.controls import Changes, toml_text
 from closedloop.lab.curves import Panel, panels, tiles
 from closedloop.lab.drawn import Message, curves, in_text, pack, robot_message, run_message, space_message, spread
-from closedloop.lab.server import FIRST_PORT, RUN, Client, Server, in_notebook, new_token
+from closedloop.lab.server import FIRST_PORT, RUN, Client, Server, in_notebook
 from closedloop.record.report.control_verdict import told
 from closedloop.record.report.measures import MEASURES
 from closedloop.record.report.verdict import names_of
@@ -70,8 +71,8 @@ def hello(scenario: Scenario, model: RobotModel, **more: Any) -> dict[str, Any]:
 def page(title: str, messages: Sequence[Any] = (), theme: str = "", nonce: str = "") -> str:
     """Return the page with messages inside; without any it opens a socket below its own address.
 
-    `theme` is "dark", "light", or "" for what the system prefers; `nonce` is the word by which the policy of a server
-    knows the page's own script and style. No text of a run can end the script it stands in.
+    `theme`: "dark", "light", or "": the system's. `nonce`: by which a server's policy knows the page's script and
+    style.
     """
     web = files("closedloop.lab") / "web"
     parts = {
@@ -133,10 +134,7 @@ def new_folder(name: str, parent: Path | None = None) -> Path:
 
 
 def save(run: Run, command: str, parent: Path | None = None) -> list[Path]:
-    """Write a run and its scenario into a new folder, and return the files.
-
-    `command`, which repeats the run, stands in the scenario's first line.
-    """
+    """Write a run and its scenario, with the command that repeats it, into a new folder; return the files."""
     folder = new_folder(run.scenario.name, parent)
     text = f"# {printable(command)}\n{run.scenario.to_toml()}"
     return [write_whole(folder / "scenario.toml", text.encode()), run.save(folder / "run.nc")]
@@ -151,13 +149,10 @@ MOST_STEPS = 500
 
 
 class History:
-    """The changes of a scenario, with undo and redo.
+    """The changes of a scenario, with undo and redo, from `base` on.
 
-    `base`: where it began.
     `name`: the scenario as the command line takes it: a shipped name, a file.
-    `given`: the overrides that `base` was read with, beside the name.
-    `words`: more words of the command line, such as ``--law my_laws:soft``.
-    `now`: the time, s.
+    `given`, `words`: the overrides that `base` was read with, and more words, such as ``--law my_laws:soft``.
     """
 
     def __init__(
@@ -188,11 +183,11 @@ class History:
 
     def begin_again(self) -> bool:
         """Take back all changes, as one step; return whether there were any."""
-        there = bool(self.changes)
-        if there:
-            self.past, self.future, self._last_key = [*self.past[-MOST_STEPS:], self.changes], [], ""
-            self.changes = {}
-        return there
+        if not self.changes:
+            return False
+        self.past, self.future, self._last_key = [*self.past[-MOST_STEPS:], self.changes], [], ""
+        self.changes = {}
+        return True
 
     def undo(self) -> bool:
         """Go a step back; return whether there was one."""
@@ -234,10 +229,9 @@ def quoted(word: str) -> str:
 
 
 def in_words(scenario: Scenario) -> tuple[str, Changes]:
-    """Return how the command line names a scenario that was made in Python: a name, and the keys to override.
+    """Return how the command line names a scenario made in Python: a name, and the keys to override.
 
-    That is the shipped scenario of this name with what differs from it; where nothing on a command line gives it, a
-    file of this name, which `save` writes.
+    That is the shipped scenario of this name with what differs; where that is not all, a file, which `save` writes.
     """
     own = scenario.model_dump(mode="python")
     given: Changes = {}
@@ -314,10 +308,7 @@ class Pins:
 
 
 def compared(pins: Sequence[Pin], run: Run, changes: Changes) -> list[tuple[str, list[str]]]:
-    """Return the rows of the table: a key that differs or a value, and what it is in each pin and now.
-
-    A value that is a number has its difference from the present run beside it.
-    """
+    """Return the rows of the table: a key that differs or a value, what it is in each pin and now, and by how much."""
     every = [*((pin.run, pin.changes) for pin in pins), (run, changes)]
     keys = dict.fromkeys(key for _, made in every for key in made)
     rows = []
@@ -355,15 +346,11 @@ class Pages:
         self._lock = threading.RLock()
 
     def listen(
-        self,
-        host: str,
-        port: int,
-        page: Callable[[str], str],
-        said: Callable[[Client, Any], None],
+        self, host: str, port: int, page: Callable[[str], str], said: Callable[[Client, Any], None],
         framed: bool = False,
-    ) -> None:
+    ) -> None:  # fmt: skip
         """Serve the page, see `closedloop.lab.server.Server`, with a token of its own."""
-        self._token = new_token()
+        self._token = secrets.token_hex(24)
         self.server = Server(host, port, self._token, page, self._opened, said, self._closed, framed)
 
     @property
@@ -397,10 +384,8 @@ class Pages:
 class Shown(Pages):
     """The page of what another part of the program simulates: it is told what to draw, and moves nothing there.
 
-    `title`: the page's title until a message says another.
-    `host`, `port`: where it listens; the next free port is taken if this one is in use.
+    `host`, `port`: where it listens; the next free port is taken if this one is in use; OutputError if none can be.
     `run`: returns the message of the run for a page, by the part of the time and the columns that it has chosen.
-    Raises OutputError if it cannot listen there.
     """
 
     def __init__(

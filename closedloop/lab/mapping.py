@@ -68,6 +68,11 @@ class Axis:
         return with_unit(self.name, self.control.unit)
 
     @property
+    def message(self) -> Message:
+        """What the page is told of the axis."""
+        return {"label": self.label, "values": self.values, "log": self.control.form == "log"}
+
+    @property
     def name(self) -> str:
         """The key, with the entry's name where it is a list."""
         if self.together:
@@ -84,10 +89,7 @@ class Axis:
 
     def value(self, cell: int) -> Any:
         """Return the key's value in a cell."""
-        number, held, index = float(self.values[cell]), self.control.value, self.control.index
-        if index is None:
-            return number
-        value = [*held[:index], number, *held[index + 1 :]]
+        value = self.control.put(float(self.values[cell]))
         return self.control.together(value) if self.together else value
 
 
@@ -183,7 +185,7 @@ class MapWork:
         self._by_itself = False
         self._closed, self._waits = threading.Event(), False
         self._told: Message | None = None
-        self._work: Newest[tuple[Map, bool], None] = Newest(self._fill, lambda nothing: None)
+        self._work: Newest[tuple[Map, bool], None] = Newest(self._fill)
 
     def begin(self) -> None:
         """Forget the map: another scenario is shown."""
@@ -203,9 +205,8 @@ class MapWork:
         # A gain, say, rather than an instant or a period, of which most values do not fit the step.
         logs = [n for n, (c, _) in self._axes.items() if c.form == "log" and c.unit != "s"] or names[-1:] or [""]
         logs.sort(key=lambda name: name.startswith(POSTURE))
-        of = {
-            group: [n for n in logs if n and group_of(self._axes[n][0].key) == group] for group in (STIFFNESS, DAMPING)
-        }
+        groups = [(n, group_of(self._axes[n][0].key)) for n in logs if n]
+        of = {group: [n for n, its in groups if its == group] for group in (STIFFNESS, DAMPING)}
         first = next((name for name in names if name == "law.force"), names[0] if names else "")
         x, y = (of[STIFFNESS][0], of[DAMPING][0]) if all(of.values()) else (first, logs[0])
         quantity = USUAL
@@ -228,20 +229,17 @@ class MapWork:
         """Compute the map of two keys, by their names; `by_itself`: nobody asked for it, and any change stops it."""
         self._stop.set()
         across, up, lab = self._axes.get(x), self._axes.get(y), self._lab
-        if across is None or up is None or x == y or quantity not in MEASURES:
-            self._refuse("choose two different keys")
-            return
-        if across[0].key == up[0].key and (across[1] or up[1]):
-            self._refuse("choose two keys of which one does not change the other")
-            return
-        if lab.answers.law is not None:
-            self._refuse("a map needs a law that is a class: batches take no function")
-            return
         try:
+            if across is None or up is None or x == y or quantity not in MEASURES:
+                raise ScenarioError("choose two different keys")
+            if across[0].key == up[0].key and (across[1] or up[1]):
+                raise ScenarioError("choose two keys of which one does not change the other")
+            if lab.answers.law is not None:
+                raise ScenarioError("a map needs a law that is a class: batches take no function")
             scenario = lab.history.scenario()
             model = lab.answers.model(scenario)
         except ClosedLoopError as error:
-            self._refuse(one_line(str(error)))
+            self._say(one_line(str(error)), refused=True)
             return
         over, along = (Axis.of(control, CELLS, together) for control, together in (across, up))
         self._work.ask((Map(scenario, over, along, quantity, model), by_itself))
@@ -314,9 +312,8 @@ class MapWork:
         lab.ask(found.x.control.key)
         if last:
             lab.refresh()
-            row, column = (
-                min(int(share * axis.values.size), axis.values.size - 1) for axis, share in ((found.y, v), (found.x, u))
-            )
+            cells = ((share, axis.values.size) for axis, share in ((found.y, v), (found.x, u)))
+            row, column = (min(int(share * count), count - 1) for share, count in cells)
             if why := found.reasons.get((row, column)):
                 self._say(why)
 
@@ -368,16 +365,15 @@ class MapWork:
         return ""
 
     def _fill(self, request: tuple[Map, bool]) -> None:
-        wanted, self._by_itself = request
-        by_itself = self._by_itself
+        wanted, by_itself = request
+        self._by_itself = by_itself
         self._stop.clear()
         self._lab.forget("boundary")
         self.map, sent, began = wanted, 0.0, clock.perf_counter()
         total = wanted.grid.size
 
         def stopped() -> bool:
-            late = by_itself and clock.perf_counter() - began > AT_MOST
-            return late or self._stopped()
+            return (by_itself and clock.perf_counter() - began > AT_MOST) or self._stopped()
 
         try:
             for done in wanted.fill(stopped, FEW_RUNS if by_itself else BATCH):
@@ -402,7 +398,7 @@ class MapWork:
         measure = MEASURES[found.quantity]
         unit = "" if measure.units == "1" else typeset(measure.units)
         message = {
-            "kind": "map", "x": _axis(found.x), "y": _axis(found.y), "quantity": found.quantity, "unit": unit,
+            "kind": "map", "x": found.x.message, "y": found.y.message, "quantity": found.quantity, "unit": unit,
             "hint": measure.meaning, "grid": found.grid.copy(), "state": found.state.copy(), "complete": complete,
             "line": f"{line}. Dashed: where the verdicts turn from good." if complete else line,
         }  # fmt: skip
@@ -437,10 +433,3 @@ class MapWork:
 
     def _say(self, line: str, refused: bool = False) -> None:
         self._lab.tell("map_said", {"kind": "map_said", "line": line, "refused": refused}, keep=False)
-
-    def _refuse(self, line: str) -> None:
-        self._say(line, refused=True)
-
-
-def _axis(axis: Axis) -> Message:
-    return {"label": axis.label, "values": axis.values, "log": axis.control.form == "log"}

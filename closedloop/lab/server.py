@@ -49,18 +49,17 @@ SHARE, LONG = 20.0, 0.3
 class Newest(Generic[Q, A]):
     """A thread that computes the newest request.
 
-    `compute`: from a request to its answer; it runs in the thread.
-    `show`: takes each answer, in the thread. An answer is shown even if a newer request has come meanwhile, so that
-        something moves while requests come faster than they are computed.
+    `compute`, `show`: from a request to its answer, and what takes each answer, both in the thread; also an answer that
+    a
+    newer request has overtaken is shown, so that something moves.
     `rest`, `most`: wait until no other request has come for `rest`, s, but no longer than `most` after the first that
-        waits, or `SHARE` times what the work took last: work that takes long leaves the time to others, and waits on if
-        it takes more than `LONG`.
+    waits, or `SHARE` times what the work took last; on and on if it took more than `LONG`.
     `held`: whether something goes on that will bring another request. Then it does not rest.
     """
 
     def __init__(
-        self, compute: Callable[[Q], A], show: Callable[[A], None], rest: float = 0.0, most: float = 0.0,
-        held: Callable[[], bool] = lambda: False,
+        self, compute: Callable[[Q], A], show: Callable[[A], None] = lambda answer: None, rest: float = 0.0,
+        most: float = 0.0, held: Callable[[], bool] = lambda: False,
     ) -> None:  # fmt: skip
         self._compute, self._show, self._rest, self._most, self._held = compute, show, rest, most, held
         self._first = self._last = self._took = 0.0
@@ -143,8 +142,7 @@ def in_notebook() -> bool:
 def proxied(port: int) -> str:
     """Return the path at which Jupyter's own server passes this port on, "" if it does not.
 
-    Where the notebook runs on another computer, as over SSH, the browser reaches Jupyter's server alone. It passes
-    ports on if jupyter-server-proxy is installed: ``/proxy/8080/`` below the server's base address.
+    A browser on another computer reaches that server alone; it passes ports on if jupyter-server-proxy is installed.
     """
     if find_spec("jupyter_server_proxy") is None:
         return ""
@@ -177,11 +175,6 @@ def finite(value: Any, otherwise: float) -> float:
     """Return a finite number that a page has sent; an integer beyond every float is none."""
     good = isinstance(value, int | float) and abs(value) <= sys.float_info.max
     return float(value) if good else otherwise
-
-
-def new_token() -> str:
-    """Return a word that nobody can guess."""
-    return secrets.token_hex(24)
 
 
 class Client:
@@ -267,10 +260,8 @@ class Server:
     """The lab's server: its page to those who name the token, and a socket below the same address.
 
     `host`, `port`: where it listens; at the next free port if that one is taken.
-    `token`: what lets in.
     `page`: returns the page, given the word (nonce) that its own scripts and styles carry.
-    `opened`, `said`, `closed`: called with a `Client` when its page opens, with it and what its page says, {} if that
-        is no JSON object, and when it is gone.
+    `opened`, `said`, `closed`: called with a `Client` as its page opens, speaks ({}: no JSON object) and is gone.
     `framed`: whether the page may stand inside another one, as that of a notebook.
     Raises OutputError if it cannot listen there.
     """
@@ -380,10 +371,9 @@ class Server:
 
 
 def foreign(headers: Mapping[str, str], loopback: bool) -> bool:
-    """Whether a request comes from a page that is not the lab's own.
+    """Whether a request comes from a page that is not the lab's own, as "Origin" says.
 
-    A browser names the page in "Origin", and lets any page open a socket to this computer. On loopback "Host" must be a
-    name of this computer, too: a name elsewhere may be made to lead here.
+    On loopback "Host" must be a name of this computer, too: a name elsewhere may be made to lead here.
     """
     host, origin = headers.get("Host", ""), headers.get("Origin")
     if loopback and not is_loopback(urlsplit(f"//{host}").hostname or ""):

@@ -127,16 +127,10 @@ def _begin(
 
 
 def open_in_browser(url: str) -> None:
-    """Open an address in the user's browser, without naming it where other users see it.
-
-    The words of a command line are shown to all: the browser is given a file that only this user can read, and that
-    sends it on.
-    """
+    """Open an address in a browser by a file of this user alone: all can read the words of a command line."""
     folder = tempfile.mkdtemp(prefix="closedloop-lab-")  # of this user alone
-    page = Path(folder) / "open.html"
-    write_whole(
-        page, f'<meta charset="utf-8"><meta http-equiv="refresh" content="0; url={html.escape(url)}">\n'.encode()
-    )
+    sent_on = f'<meta charset="utf-8"><meta http-equiv="refresh" content="0; url={html.escape(url)}">\n'
+    page = write_whole(Path(folder) / "open.html", sent_on.encode())
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
     webbrowser.open(page.as_uri())
 
@@ -186,7 +180,7 @@ def _reset(lab: Lab, client: Client, said: Said) -> None:
     if control is None:
         return
     if isinstance(index, int) and control.index == index:
-        lab.changed(key, [*control.value[:index], lab.first.get((key, index)), *control.value[index + 1 :]])
+        lab.changed(key, control.put(lab.first.get((key, index))))
         lab.refresh()
     else:
         lab.changed(key, None)
@@ -249,19 +243,19 @@ PULL, AT_TIP = 0.2, 0.05
 
 def _pull(lab: Lab, client: Client, said: Said) -> None:
     """Pull at a point of a link, from the instant that the page shows: a force from outside."""
-    answer = lab.answer
-    if answer is None or answer.run is None:
+    run = lab.run
+    if run is None:
         return
     at, force = (np.array([finite(x, math.nan) for x in said.get(key) or ()]) for key in ("at", "force"))
-    frames = [each for each in mechanism_of(answer.run.model).frames if each.parentJoint == said.get("joint")]
+    frames = [each for each in mechanism_of(run.model).frames if each.parentJoint == said.get("joint")]
     if at.shape != (3,) or force.shape != (3,) or not np.all(np.isfinite([at, force])) or not frames:
         return
-    scene, named = scene_of(answer.run), [each for each in frames if each.name in answer.run.model.frames]
+    scene, named = scene_of(run), [each for each in frames if each.name in run.model.frames]
     start = finite(said.get("start"), client.time)
-    row = min(max(round(start / answer.run.scenario.time.step), 0), len(answer.run) - 1)
+    row = min(max(round(start / run.scenario.time.step), 0), len(run) - 1)
     axes, origins = (part[frames[0].parentJoint] for part in scene.joint_places(row))
     pulled: dict[str, Any] = {"force": _rounded(force), "duration": PULL}
-    pulled["start"] = float(f"{max(min(start, answer.run.scenario.time.duration - PULL), 0.0):.6g}")
+    pulled["start"] = float(f"{max(min(start, run.scenario.time.duration - PULL), 0.0):.6g}")
     if np.linalg.norm(origins + axes @ at - scene.tip_place(row)) > AT_TIP * scene.size and named:
         pulled |= {"link": named[0].name, "at": _rounded(named[0].placement.actInv(at))}
     given = [force.model_dump(exclude_none=True) for force in lab.history.scenario().external_force or ()]

@@ -1,7 +1,7 @@
 """The lab: a scenario, the run of it as it is now or the one line that says what is wrong, and the pages that show it.
 
 Each kind of work has a thread of its own, and of what comes meanwhile takes the newest (`Newest`): runs, whose curves
-are sent at once; what follows when the slider rests (`closedloop.lab.details`); and maps. A thread for each page takes
+are sent at once; what follows when the slider rests (`closedloop.lab.start`); and maps. A thread for each page takes
 what it says (`closedloop.lab.start`). The scenarios that ship are shown as cards, with a picture of the robot at its
 start.
 """

@@ -245,7 +245,7 @@ def spread(run: Run, most: int = FRAMES) -> NDArray[np.int64]:
 
 
 def _shapes(scene: Scene) -> Iterator[tuple[int, str, Shape, Message]]:
-    """Yield the shapes of robot, loop joints and ghosts: number of its place, kind, shape, and what hides of a ghost."""
+    """Return a replay: instants, places (quaternion, origin), forces and tails; `between` is run every few rows."""
     for shape in scene.shapes:
         yield shape.joint, "", shape, {}
     after = len(scene.joint_places(0)[0]) + 1

@@ -78,9 +78,9 @@ def lasting_swing(x: Array, bound: float, h: float, begin: float) -> Swing | Non
 def regular_swing(x: Array, bound: float, h: float, begin: float, periods: int = PERIODS) -> Swing | None:
     """Return the swing of a signal (N,), `h` s apart, of `periods` and more beyond ±`bound`; None without one.
 
-    What counts is a period from one rise through the middle to the next, each with an excursion to both sides between
-    of more than half the bound and half the RMS; the last third of them must reach the bound, and all must last
-    about equally long.
+    A period is from one rise through the middle to the next, with excursions to both sides beyond half the bound and
+    half
+    the RMS; the last third of them must reach the bound, and all must last about equally long.
     """
     if len(x) < periods * ROWS_IN_PERIOD:
         return None
@@ -202,8 +202,8 @@ def _contact(s: Signals, unknown: list[str]) -> list[Problem]:
         if s.approaching:
             unknown.append("contact: the path had not reached the surface at the end")
             return []
-        return [problem_of("no_contact", f"contact was commanded from {rows[0] * s.h:.4g} s on and did not occur",
-                         rows[0] * s.h)]  # fmt: skip
+        at = rows[0] * s.h
+        return [problem_of("no_contact", f"contact was commanded from {at:.4g} s on and did not occur", at)]
     first = min([*met[:1], *np.ceil(struck[:1] / s.h).astype(int)])  # an impact leaves no row in contact
     rows = rows[min(int(np.searchsorted(rows, first)), rows.size - 1) :]
     free, lost = _longest_free(s, rows)
@@ -214,9 +214,7 @@ def _contact(s: Signals, unknown: list[str]) -> list[Problem]:
     if count >= BOUNCES:
         at = float(s.touchdowns[s.touchdowns > begin][0])
         said = f"{count} touchdowns between {begin:.4g} and {end:.4g} s, at most {BOUNCES - 1} belong to a touchdown"
-        problems = [problem for problem in problems if problem["name"] != "bouncing"] + [
-            problem_of("bouncing", said, at)
-        ]
+        problems = [each for each in problems if each["name"] != "bouncing"] + [problem_of("bouncing", said, at)]
     if lost:
         return problems
     # Of rows without a gap a view, as it is in most runs.
@@ -235,19 +233,17 @@ def _longest_free(s: Signals, rows: NDArray[np.int64]) -> tuple[Problem | None, 
     bounds = np.concatenate([[-1], bounds[bounds < rows.size], [rows.size]])
     flights = np.diff(bounds)
     k, share = int(np.argmax(flights)), float(np.max(flights) - 1) / rows.size
-    lost = not np.any(s.touching[rows[-max(1, int(np.ceil(LOST_SHARE * rows.size))) :]]) and flights[-1] - 1 >= (
-        LOST_SHARE * rows.size
-    )
+    last = LOST_SHARE * rows.size
+    lost = flights[-1] - 1 >= last and not np.any(s.touching[rows[-max(1, int(np.ceil(last))) :]])
     if lost:
         k, share = len(flights) - 1, float(flights[-1] - 1) / rows.size
     bound = LOST_SHARE if lost else FREE_SHARE
     if not lost and share <= bound:
         return None, False
     begin, end = rows[max(bounds[k], 0)] * s.h, rows[min(bounds[k + 1], rows.size - 1)] * s.h
-    struck = bounds[k] >= 0 and free[bounds[k]]  # it left in an impact, not in a liftoff
     text = f"off the surface from {begin:.4g} to {end:.4g} s, {100 * share:.3g} % of the time commanded, more than "
     text += f"{100 * bound:g} %" + (" at the end" if lost else "")
-    if struck:
+    if bounds[k] >= 0 and free[bounds[k]]:  # it left in an impact, not in a liftoff
         return problem_of("bouncing", f"after an impact {text}", begin), lost
     return problem_of("lost_contact", text, begin), lost
 
@@ -257,12 +253,7 @@ def judge_force(
 ) -> list[Problem]:
     """Return what is wrong with the force while contact is commanded, above all in the later half of that time.
 
-    `miss` (R,): f − f_des, N, while contact is commanded.
-    `scale`: F, N.
-    `h`: time between two rows, s.
-    `rows` (R,): which rows of the run these are.
-    `unknown`: what is not known is added.
-    `sparse`: see `Signals`.
+    `miss` (R,): f − f_des in the `rows` (R,) of the run, N; `scale`: F; what is not known is added to `unknown`.
     """
     late = miss[rows.size // 2 :]
     off = max(float(late.max()), -float(late.min()))
@@ -310,17 +301,12 @@ def _path(s: Signals, unknown: list[str]) -> list[Problem]:
 def _swinging(swing: Swing | None, what: str, unit: str, unknown: list[str]) -> list[Problem]:
     if swing is None:
         return []
+    text = f"the {what} swings by ±{swing.amplitude:.3g} {unit} with {1.0 / swing.period:.3g} Hz"
     if not swing.known:
-        unknown.append(
-            f"oscillation: the {what} swings by ±{swing.amplitude:.3g} {unit} with {1.0 / swing.period:.3g} Hz, and "
-            f"{swing.periods} periods are too few: take a longer run"
-        )
+        unknown.append(f"oscillation: {text}, and {swing.periods} periods are too few: take a longer run")
         return []
     kind = "grows" if swing.growth > GROWTH else "is a limit cycle"
-    text = (
-        f"the {what} swings by ±{swing.amplitude:.3g} {unit} with {1.0 / swing.period:.3g} Hz, which {kind}: "
-        f"{swing.growth:.3g} times as much in the last third as in the first"
-    )
+    text += f", which {kind}: {swing.growth:.3g} times as much in the last third as in the first"
     return [problem_of("oscillation", text, swing.at)]
 
 
@@ -383,19 +369,14 @@ def signals_of(
     scenario: Scenario, h: float, force: Array, wanted: Array, touching: Mask, path: tuple[Array, Array, Array],
     touchdowns: Array, own_law: bool = False,
 ) -> Signals:  # fmt: skip
-    """Return the signals of N rows.
+    """Return the signals of N rows, `h` s apart.
 
     Contact is commanded where f_des > 0 (on a surface that can pull, where f_des is not zero), but for where the
-    paper's law is led off the surface again by its path: by more than `RELEASE` from where it was nearest until
-    then. Without a surface, and where links have contacts and the tip never had one, nothing is commanded of the tip:
-    its force moves the arm.
+    paper's law is led off the surface again by its path: by more than `RELEASE` from where it was nearest until then.
+    Nothing is commanded where only links have contacts: the tip's force moves the arm.
 
-    `h`: time between two rows, s.
-    `force`, `wanted`, `touching`, (N,) arrays: f, f_des, N, and whether in contact.
-    `path`, (N, 3), (N,) and (N, 3) arrays: the tip less its path, along the surface; how far off the surface the path
-        is; the path; m.
-    `touchdowns` (E,): when contact began or the tip bounced, s.
-    `own_law`: whether the law is a function, and not the scenario's.
+    `path`: the tip less its path along the surface (N, 3), how far off it the path is (N,), and the path (N, 3), m.
+    `touchdowns` (E,): when contact began or the tip bounced, s; `own_law`: whether the law is a function.
     """
     off, gap, tip = path
     led = follows_path(scenario, own_law)

@@ -49,8 +49,8 @@ def halved_comparison(run: Record, other: Record) -> dict[str, Any]:
         "stopped": other.stopped,
         "rows": count,
         "modes_differ": int(np.count_nonzero(run.mode[:count] != other.mode[::2][:count])),
-        "force": _largest(force[kept]),
-        "position": _largest(position[kept]),
+        "force": plain(np.max(force[kept])) if np.any(kept) else None,
+        "position": plain(np.max(position[kept])) if np.any(kept) else None,
         "columns": {
             name: _column(run, getattr(run, name)[:count], getattr(other, name)[::2][:count], name)
             for name in MAIN_COLUMNS
@@ -137,10 +137,6 @@ def step_error(run: Record) -> dict[str, Any]:
         return {"force": None, "position": None, "why_not": OWN_STEPS if own else NOT_HALVED}
     found = {name: run.halved[name] for name in ("force", "position")}
     return found | {"why_not": None if run.halved["rows"] else "no row could be compared"}
-
-
-def _largest(off: Array) -> float | None:
-    return plain(np.max(off)) if off.size else None
 
 
 def halved_rows(halved: Mapping[str, Any]) -> list[tuple[str, str, str, str]]:

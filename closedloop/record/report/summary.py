@@ -161,10 +161,8 @@ _COLUMNS = tuple(name for name in RECORDED if name not in ("acceleration", "meas
 def columns_of(run: Record, rows: slice = slice(None)) -> Any:
     """Return these rows of a run as `sample_row` reads them: columns (N,) and (k, N) by their names."""
     found = {name: getattr(run, name)[rows].T for name in _COLUMNS}
-    if run.model.balls:
-        found |= {
-            name: with_rotation_vectors(found[name].T, run.model.joint_types).T for name in POSITIONS if name in found
-        }
+    for name in found.keys() & set(POSITIONS) if run.model.balls else ():
+        found[name] = with_rotation_vectors(found[name].T, run.model.joint_types).T
     return SimpleNamespace(**found)
 
 
@@ -274,9 +272,8 @@ def assumptions(run: Record, measures: Mapping[str, float | None]) -> dict[str, 
         outside |= {"one_loop"}
     if found := contact_faults(run):
         cone, product = np.max(found.cone), np.max(found.complementarity)
-        said = (
-            f"{_counted(len(found.names), 'contact')} besides: cone to {cone:.0e} N, force times gap {product:.0e} N m"
-        )
+        many = _counted(len(found.names), "contact")
+        said = f"{many} besides: cone to {cone:.0e} N, force times gap {product:.0e} N m"
         report["single_point"] = {"held": False, "first_failed": 0.0, "measured": said}
         outside |= {"single_point"}
         friction = np.hypot(run.link_frictions[:, ::2], run.link_frictions[:, 1::2])
@@ -388,16 +385,13 @@ def summarise(run: Record) -> dict[str, Any]:
 def _unresolved(run: Record) -> list[str]:
     if not len(run):
         return []
-    robot = robot_of(run.scenario, run.model)
-    depth, own_law = -float(run.closure_error[0]), run.law != "scenario"
-
-    def sliding() -> modes.Sliding | None:
-        return modes.where_it_slides(run.q, run.surface_normal, run.contact_force, run.friction_force, run.mode)
-
-    def pressed() -> modes.Pressed | None:
-        return modes.where_they_press(run.q, run.link_forces)
-
-    lines = modes.unresolved(run.scenario, robot, run.q[0], run.surface_normal[0], depth, sliding, own_law, pressed)
+    robot, own_law = robot_of(run.scenario, run.model), run.law != "scenario"
+    start = run.q[0], run.surface_normal[0], -float(run.closure_error[0])
+    lines = modes.unresolved(
+        run.scenario, robot, *start,
+        lambda: modes.where_it_slides(run.q, run.surface_normal, run.contact_force, run.friction_force, run.mode),
+        own_law, lambda: modes.where_they_press(run.q, run.link_forces),
+    )  # fmt: skip
     return lines if own_law else lines + modes.unresolved_feedback(run.scenario, robot)
 
 

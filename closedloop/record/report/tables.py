@@ -80,12 +80,11 @@ def _error_rows(run: Record, facts: dict[str, Any]) -> Iterator[Row]:
     step = "steps of its own" if time.integrator in ADAPTIVE else f"step {time.step:g} s"
     order = "not known" if scheme is None else f"{scheme.order}"
     yield "order of the integrator", order, "", f"{time.integrator}, {step}"
-    known, errors = False, facts["step_error"]
+    errors = facts["step_error"]
     for label, error, unit in (("f differs by", errors["force"], "N"), ("tip differs by", errors["position"], "m")):
         if error is not None:
-            known = True
             yield label, f"{error:.2g}", unit, "from the run at half the step"
-    if not known:
+    if errors["force"] is None and errors["position"] is None:
         yield "error of the step", "not known", "", errors["why_not"]
     yield row("tip speed", "max_tip_speed", ".4g", "m/s")
 
@@ -238,16 +237,12 @@ def _robot_notes(run: Record) -> tuple[str, ...]:
 def notes(run: Record) -> list[str]:
     """Return what a reader of the run should know beside its values: what was left out, friction that may drive ..."""
     load = float(np.max(np.abs(run.contact_force)))
+    pressing = np.max(run.link_forces, axis=0, initial=0.0) if run.scenario.contact else ()
+    by_contact = zip(run.scenario.contact or (), pressing, strict=True)
     faults = (
         ("friction", _energy_fault(run.scenario.friction, load)),
         ("joint_friction", _energy_fault(run.scenario.joint_friction, 1.0, run.v.shape[1])),
-        *(
-            (
-                f"contact.{i}.friction_law",
-                _energy_fault(section.friction_law, np.max(run.link_forces[:, i], initial=0.0)),
-            )
-            for i, section in enumerate(run.scenario.contact or ())
-        ),
+        *((f"contact.{i}.friction_law", _energy_fault(one.friction_law, f)) for i, (one, f) in enumerate(by_contact)),
         ("gains", run_gains_fault(run)),
     )
     told = {problem["name"] for problem in run.summary()["verdict"]["problems"]}
@@ -359,10 +354,7 @@ def _print_events(run: Record, console: Console) -> None:
 
 
 def _event_row(event: Event, names: tuple[str, ...]) -> tuple[str, ...]:
-    """Return the cells of an event: rates where contact begins or ends, impulses and energy of an impact.
-
-    `names` are those of the tip and of the contacts of links; the tip's alone need not be said.
-    """
+    """Return the cells of an event: rates where contact begins or ends, impulses and energy of an impact."""
     normal = event.kind in ("impact", "touchdown", "liftoff", "edge")
     impact = event.kind in ("impact", "touchdown")
     return (

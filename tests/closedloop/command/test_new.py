@@ -13,7 +13,7 @@ import closedloop as cl
 import robot_models
 from closedloop.__main__ import main
 from closedloop.base.errors import ScenarioError, SimulationError
-from closedloop.command.first_slide import SPEEDS, _with_gains, first_slide
+from closedloop.command.new import SPEEDS, _with_gains, first_slide
 from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.scenario.modes import unresolved_feedback
 from robot_models.described import path_of

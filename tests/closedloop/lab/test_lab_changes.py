@@ -426,9 +426,9 @@ def test_the_strip_says_what_is_better_than_before():
 def test_margins_stay_where_the_analysis_is_done_before_the_first_strip(monkeypatch):
     """As for a run whose summary takes long: the first strip has them."""
     pytest.importorskip("websockets", reason="websockets is not installed: the extra 'lab'")
-    monkeypatch.setattr("closedloop.lab.details.REST", 1.0)
-    monkeypatch.setattr("closedloop.lab.details.OFTEN", 1.0)
-    monkeypatch.setattr("closedloop.lab.details.LATER", 0.0)
+    monkeypatch.setattr("closedloop.lab.start.REST", 1.0)
+    monkeypatch.setattr("closedloop.lab.start.OFTEN", 1.0)
+    monkeypatch.setattr("closedloop.lab.start.LATER", 0.0)
     lab = begun(History(cl.load_scenario("planar2_slide", {"time.duration": 0.2}), "planar2_slide"), port=8471)
     try:
         assert lab.wait(120.0)

@@ -283,7 +283,7 @@ def test_a_constraint_reads_either_way():
 
 def test_the_command_writes_the_scenario(tmp_path, capsys):
     """It prints the report, writes tuned.toml, which runs, and says by its status whether the constraints are met."""
-    from closedloop.command.gains import tune
+    from closedloop.command.logs import tune
 
     words = ["wam_slide", "--time.duration", "0.6", "--reference.start", "0.1", "--reference.stop", "0.6",
              "--starts", "1", "--vary", "law.kd[3]=log:5:200", "--out", str(tmp_path / "out")]  # fmt: skip

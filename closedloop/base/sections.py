@@ -119,10 +119,7 @@ class SizeError(ValueError):
 
 @dataclass(frozen=True)
 class Size:
-    """Bounds of the magnitude of a number that is not zero, or of each entry of a list.
-
-    Whether zero or negative numbers are allowed is a matter of the annotated type.
-    """
+    """Bounds of the magnitude of a number that is not zero, or of each entry of a list."""
 
     most: float  # the largest magnitude
     unit: str  # its unit, see `Unit`

@@ -323,7 +323,7 @@ def _postures(robot: Robot, normal: tuple[float, float, float], faults: Faults) 
 
 
 def _aside(robot: Robot, rng: np.random.Generator, low: Array, high: Array) -> Array:
-    """Return where the joints stay that do not move the tip: at home, or where they are least loaded, unless of loops."""
+    """Return where joints stay that do not move the tip: at home, or where they are least loaded unless of loops."""
     home, aside = np.asarray(robot.model.home), robot.support == 0.0
     turns = aside.copy()
     if robot.model.loops:

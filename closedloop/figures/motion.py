@@ -41,10 +41,9 @@ def frame_of(run: Run) -> Array:
 
 
 def directions(run: Run) -> Array:
-    """Return unit vectors along the path in the surface (N, 3), base frame; at rest that of the motion before.
+    """Return unit vectors along the path in the surface (N, 3), base frame, without the motion of the surface.
 
-    Before the first motion it is that of the first; of a reference that never moves along the surface it is t1. On a
-    surface that moves it is the motion along the surface, without that of the surface.
+    At rest that of the motion before, before the first that of the first; of a reference that never moves it is t1.
     """
     normals = run.surface_normal
     step = np.gradient(run.reference_tip, axis=0) if len(run) > 1 else np.zeros_like(run.reference_tip)

@@ -35,10 +35,7 @@ def start_posture(scenario: Scenario, model: RobotModel) -> Array:
 
 
 def start_positions(scenario: Scenario, model: RobotModel) -> Array:
-    """Return q (nq,) at the start: that of `start.q`, or the home posture with each [[body]] where it is placed.
-
-    A `start.q` may leave out what moves freely, which is then where the model, or its [[body]], has it.
-    """
+    """Return q (nq,) at the start: `start.q`, or home; what moves freely and is left out is where its [[body]] is."""
     given, names = scenario.start.q, model.coordinate_names
     if given is not None and len(given) == len(names):
         return np.array(given)
@@ -121,10 +118,7 @@ def robot_of(scenario: Scenario, model: RobotModel) -> Robot:
 
 
 def moved_frames(scenario: Scenario, robot: Robot) -> tuple[MovedFrame, ...]:
-    """Return each [[mocap]] of a scenario where the robot has it.
-
-    Raises ScenarioError if it is no frame that is fixed to the world, two are one, or no loop joint holds onto one.
-    """
+    """Return each [[mocap]] where the robot has it; ScenarioError if no loop holds it, fixed to the world."""
     found: list[MovedFrame] = []
     for k, section in enumerate(scenario.mocap or ()):
         where = f"mocap.{k}.frame = {section.frame!r}"
@@ -144,10 +138,7 @@ def moved_frames(scenario: Scenario, robot: Robot) -> tuple[MovedFrame, ...]:
 
 
 def joint_friction_of(scenario: Scenario, model: RobotModel) -> JointFriction:
-    """Return the law of friction in the joints: the scenario's, or that of the robot's file.
-
-    What a loop joint of the file says of friction acts; what a joint says, on request.
-    """
+    """Return the law of friction in the joints: the scenario's, or the file's, of loops always, else on request."""
     if not scenario.robot.friction:
         damping, friction = loop_dynamics(model)
         if not (np.any(damping) or np.any(friction)):
@@ -168,19 +159,13 @@ def joint_friction_of(scenario: Scenario, model: RobotModel) -> JointFriction:
 
 
 def stop_limits(scenario: Scenario, model: RobotModel) -> tuple[Array, Array]:
-    """Return where the joints have hard stops, lower and upper, (n,), rad (m), infinite where there is none.
-
-    The limits of a loop joint always are stops; those of the robot's joints if the scenario says so.
-    """
+    """Return where stops are, lower and upper, (n,), rad (m), infinite: none; of loops always, else on request."""
     there = np.array([scenario.robot.stops or name in model.loop_coordinates for name in model.joint_names])
     return np.where(there, model.position_lower, -np.inf), np.where(there, model.position_upper, np.inf)
 
 
 def acting_tendons(scenario: Scenario, model: RobotModel) -> Array:
-    """Return what of the robot's tendons rubs and stops, see `robot_models.tendon.rough_tendons`.
-
-    Like the friction and the stops of joints both are on request.
-    """
+    """Return what of the robot's tendons rubs and stops, on request, see `robot_models.tendon.rough_tendons`."""
     return rough_tendons(model.tendons, model.joint_names, scenario.robot.friction, scenario.robot.stops)
 
 
@@ -198,10 +183,7 @@ def without_tools(model: RobotModel) -> RobotModel:
 
 
 def with_all_entries(scenario: Scenario, model: RobotModel) -> Scenario:
-    """Return a scenario whose start, law and friction have an entry for each joint, if only those without one lack it.
-
-    Of friction these are the free bodies alone, which have none. Lists of any other length are left as they are.
-    """
+    """Return a scenario whose start, law and friction have entries for joints without any, as free bodies' friction."""
     names, driven = model.loop_coordinates, model.joint_names if model.drives is None else model.drives
     given = np.array([name not in names or name in driven for name in model.joint_names], dtype=bool) & ~model.free
     count = int(given.sum())

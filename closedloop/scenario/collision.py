@@ -152,10 +152,7 @@ def hull_of(vertices: Array) -> Any:
 
 
 def _is_hollow(shape: CollisionShape) -> bool:
-    """Whether a mesh's surface, at its corners and triangles' centroids, is inside its convex hull anywhere.
-
-    The centroids tell a flat part with a notch, whose corners are all on its two faces.
-    """
+    """Whether a mesh's corners and triangles' centroids, which tell a notch, are inside its hull anywhere."""
     hull = hull_of(shape.vertices)
     if hull is None:
         return False
@@ -176,10 +173,8 @@ def points_of_boxes(one: CollisionShape, other: CollisionShape, link: str, again
 
 
 def pair_of(one: CollisionShape, other: CollisionShape, link: str, against: str) -> Parts:
-    """Return the contacts of two shapes, a box, a sphere or a capsule each, as keys of their sections.
-
-    Balls and corners of either touch the other, but of a sphere, which is a ball itself. The edges of a box, or the rod
-    of a capsule, cross those of the other.
+    """Return the contacts of two shapes, box, sphere or capsule: balls and corners that touch, edges and rods that
+    cross.
     """
     parts: Parts = []
     if other.kind != "sphere" or one.kind == "sphere":

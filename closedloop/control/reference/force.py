@@ -111,11 +111,7 @@ ForceProfile = Annotated[
 
 
 def force_at(section: ForceProfile, base: float, t: Array) -> Array:
-    """Return f_des (N,), N, at times t (N,), s; at a jump the right limit.
-
-    `base`: law.force, N.
-    Raises ScenarioError if a profile of waypoints has not as many forces as instants.
-    """
+    """Return f_des (N,), N, of law.force `base` at t (N,), s; right limits. ScenarioError if forces are missing."""
     t = np.asarray(t, dtype=np.float64)
     if isinstance(section, ConstantForceSection):
         return np.full(t.shape, base)

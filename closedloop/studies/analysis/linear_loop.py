@@ -124,11 +124,7 @@ class Margins:
 
 
 def margins_of(transfer: Callable[[Array], ComplexArray], grid: Array, cut: str, stable: bool) -> Margins:
-    """Return the margins of a loop transfer L.
-
-    `transfer`: L at frequencies, Hz.
-    `grid` (k,): frequencies, Hz, in order, close enough to each other that L turns little from one to the next.
-    """
+    """Return the margins of a loop transfer L at frequencies, Hz; on the `grid` (k,) L turns little between two."""
     L = transfer(grid)
     closed = bool(np.max(np.abs(L)) > OPEN)
     nan = math.nan
@@ -413,10 +409,7 @@ class LinearLoop:
         return Port(f, Y, passive, None if passive else float(f[worst]))
 
     def to_control(self) -> Any:
-        """Return it as a `control.StateSpace`.
-
-        Raises ScenarioError if python-control is not installed.
-        """
+        """Return it as a `control.StateSpace`; raises ScenarioError if python-control is not installed."""
         try:
             import control
         except ImportError:

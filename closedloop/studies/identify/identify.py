@@ -125,10 +125,7 @@ class Identification:
         raise KeyError(f"{name!r}: the parameters are {', '.join(self.regressor.names)}")
 
     def joints(self, kind: str) -> tuple[Estimate, ...]:
-        """Return the estimates of a kind, "viscous", "dry", "offset", "drive_inertia" or "Izz", joint by joint.
-
-        Raises ModelError if the joints have no such parameters.
-        """
+        """Return the estimates of a kind, "dry" or "Izz", joint by joint; ModelError if there are none."""
         if kind not in self.regressor.kinds:
             raise ModelError(f"joints({kind!r}): a kind of parameter must be one of {', '.join(self.regressor.kinds)}")
         return tuple(self[f"{kind}_{joint}"] for joint in self.robot.joint_names)
@@ -140,11 +137,7 @@ class Identification:
 
     @property
     def not_physical(self) -> tuple[Estimate, ...]:
-        """What dissipates or stores energy, and is surely below zero.
-
-        Its whole interval is, and a torque that the model lacks, if it is as large as the residual, does not make it
-        so. Filters leave such a torque, too, where there is no noise.
-        """
+        """What dissipates or stores energy, and is surely below zero, even if a torque as the residual is missing."""
         told = zip(self.estimates, self.solution.lacking, strict=True)
         bounded = ((e, lacking) for e, lacking in told if e.name.startswith(BOUNDED) and e.name == e.grouping)
         return tuple(e for e, lacking in bounded if max(e.high, e.value + lacking) < 0.0)
@@ -334,8 +327,7 @@ def _counted(regressor: Regressor, x: Motion) -> NDArray[np.bool_]:
 def _columns(regressor: Regressor, base: BaseParameters, x: Motion, used: NDArray[np.bool_]) -> tuple[Array, Array]:
     """Return W (R, n, b), and what of it was excited: where joints rest, noise moves them.
 
-    The second is W of a motion in which they do not move at all, without columns of their own, small Stribeck terms,
-    and those that are no larger than what the least stroke of such a joint makes of them.
+    The second is without columns, and small Stribeck terms, that the least stroke of such a joint makes as large.
     """
     W = regressor.averaged(x)[:, :, base.kept]
     rests, seen = np.asarray(~used.any(axis=0)), W.copy()

@@ -81,9 +81,7 @@ class Log:
 def checked(log: Log, robot: RobotModel) -> Log:
     """Return the log with its joints in the robot's order.
 
-    Raises LogError: a number of rows or joints is wrong, a value is not finite, time jumps or runs backwards, the
-        joints are others, units cannot be those of SI, velocities are not the rates of the positions, or no joint
-        moves.
+    Raises LogError if rows, joints, values, time or units cannot be right, or no joint moves.
     """
     where, n = log.source, robot.n
     time, q, torque = (np.ascontiguousarray(x, dtype=np.float64) for x in (log.time, log.q, log.torque))

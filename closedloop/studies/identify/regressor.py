@@ -168,8 +168,7 @@ class Regressor:
     def certain(self, x: Motion) -> NDArray[np.bool_]:
         """Return (R, n) whether the friction of a joint has one sign, that is sure, throughout a window.
 
-        Near a change of sign the joint may stick, and the filtered velocity has the wrong sign for a moment. Both
-        reduce the estimate of the dry friction and raise that of the viscous friction.
+        Near a change the joint may stick, and its filtered velocity has the wrong sign: both bias the friction.
         """
         R, D = len(x.time), x.size
         good = np.ones((R, self.n), dtype=bool)
@@ -251,10 +250,7 @@ def base_parameters(regressor: Regressor, seed: int = 0) -> BaseParameters:
 
 
 def _preferred(regressor: Regressor, there: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return the columns in the order in which they are kept: friction, moments of links, then masses and drives.
-
-    The inertia of a drive comes last: where it acts as a link's moment of inertia does, it is part of that.
-    """
+    """Return the columns in the order to be kept: friction, links' moments, masses, drives, which act like moments."""
     inertial = 10 * regressor.n
     names = regressor.names
 

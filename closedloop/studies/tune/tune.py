@@ -102,10 +102,8 @@ class Limit:
 
 
 def varied(scenario: Scenario, vary: Mapping[str, Sequence[float]], log: Sequence[str] = ()) -> list[Varied]:
-    """Return the numbers that vary.
+    """Return the numbers that vary; of the keys `log` evenly in their logarithms.
 
-    `vary`: keys, of a number, a list, or an entry of a list such as ``law.kp[1]``.
-    `log`: those whose ranges are even in their logarithms.
     Raises ScenarioError if a key is unknown or no real number, or a range has no two ends.
     """
     found: dict[str, Varied] = {}
@@ -178,11 +176,7 @@ MEANINGLESS = SHAKEN | {"gains", "resolution"}
 class Runs:
     """Evaluates points of a tuning; see `closedloop.studies.tune.search.Evaluate`.
 
-    `some`: what varies.
-    `minimise`: values of the summary and their weights: their weighted sum is minimised.
-    `over`: variations, every value of a key with every value of the others.
-    `kept`: file of what has been run.
-    `report`: gets the number of runs done.
+    `minimise`: values of the summary and weights; `over`: variations, all combined; `kept`: file of what has been run.
     """
 
     def __init__(
@@ -250,9 +244,8 @@ class Runs:
         return self._run([own], whatever=True)[0]
 
     def _run(self, changed: list[dict[str, Any]], whatever: bool = False) -> Array:
-        """Run the scenario with each of these overrides under all variations, in one batch.
-
-        Without `whatever` a run has no values if they mean nothing.
+        """Run these overrides under all variations in a batch; without `whatever` a run that means nothing has no
+        values.
         """
         rows = [change | variation for change in changed for variation in self.variations]
         changes = {key: [row[key] for row in rows] for key in rows[0]}

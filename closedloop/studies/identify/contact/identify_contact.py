@@ -121,10 +121,9 @@ def _cubics(t: Array, height: Array, sigma: float) -> Cubics:
 
 
 def _longest(side: list[Cubics]) -> int:
-    """Return how many of `LENGTHS` are good on one side of all impacts.
+    """Return how many of `LENGTHS` are good on one side of all impacts: while rates are those of fewer, but for noise.
 
-    More rows are taken while the rates that they give are those of fewer, but for their noise: what a cubic lacks must
-    stay below noise (O. Lepski, Theory of Probability and its Applications 35 (1990) 454-466).
+    (O. Lepski, Theory of Probability and its Applications 35 (1990) 454-466.)
     """
     for longer in range(1, len(LENGTHS)):
         for shorter in range(longer):
@@ -393,9 +392,8 @@ def _allow_for_counts(
 ) -> None:
     """Let intervals contain what the counts of encoders do to the estimates, which `fit` finds in a recording.
 
-    Errors of counts follow the motion for many rows: they are no noise, and bias what is fitted. The motion below the
-    cutoff, Hz, is counted anew from other beginnings, beside the same forces. By how much its estimates then differ
-    from those without counts is how much those of the log are off.
+    They bias what is fitted: the motion below the cutoff, Hz, is counted anew from other beginnings, beside the same
+    forces, and its estimates differ from those without counts as much as those of the log are off.
     """
     size = motion.count_of(recording.positions)
     if not size.any():
@@ -419,10 +417,7 @@ def _allow_for_counts(
 
 
 def contact_recording(run: Run, source: str = "the run") -> tuple[Recording, Array]:
-    """Return the log of a run as its encoders and its sensor have it, with a force of three components, and the normal.
-
-    The normal force is the sensor's reading; friction is that of the row.
-    """
+    """Return the log of a run as its encoders and its sensor have it, with the row's friction, and the normal."""
     normals = run.surface_normal
     if not run.scenario.has_surface or run.scenario.surface.kind != "plane" or np.ptp(normals, axis=0).max() > 0.0:
         raise LogError(f"{source}: its surface is not a plane at rest: contacts are identified on planes")

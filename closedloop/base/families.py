@@ -246,8 +246,7 @@ class Family(Mapping[str, type[M]], Generic[M]):
         `value`: a name, MODULE:CLASS, or the class; what is none of them is returned for the validation. `key`: for
         messages.
         Raises ScenarioError if there is none, or it is none of this family, or a function of it does not take its
-        arguments;
-        what a user's module raises while it is imported is raised as it is.
+        arguments; what a user's module raises while it is imported is raised as it is.
         """
         if isinstance(value, str) and ":" in value:
             value = self._imported(value, key)

@@ -31,8 +31,7 @@ def write_whole(
     """Write a file, and return its path; if that fails, the older file of that name is unchanged.
 
     `content`: what goes into it, or a function that writes it into an open file, which can be read and sought in too.
-    HDF5
-    does not survive a failed write: let it write into memory, or into a file of which enough is reserved.
+    HDF5 does not survive a failed write: let it write into memory, or into a file of which enough is reserved.
     `reserve`: so many bytes of the disk are made sure of first; what is not used stays as zeros unless it is truncated.
     Raises OutputError if it cannot be written, or an older file is not to be replaced (`replace`).
     """

@@ -198,8 +198,7 @@ def compiler_at_work() -> Iterator[None]:
     SIGTERM.
 
     Both take locks, which what a signal raises could leave taken for ever. No garbage is looked for meanwhile: a
-    compiler's
-    graphs are in use, and looking through them takes a tenth.
+    compiler's graphs are in use, and looking through them takes a tenth.
     """
     was = gc.isenabled()
     with answered_where_it_can_be(), held_back(signal.SIGINT):

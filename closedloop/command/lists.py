@@ -50,8 +50,13 @@ def robots(words: list[str]) -> int:
 
         model = robot_models.load(options.robot)
         _print_one(model, console)
-        if options.check:
-            return _check(model, options.robot, console)
+        if options.check and not model.n:
+            console.print("nothing moves: there is nothing to check")
+        elif options.check:
+            lines, wrong = resolve_name(ROBOT_CHECK)(model, options.robot)
+            for line in lines:
+                console.print(line, markup=False)
+            return 1 if wrong else DONE
     return DONE
 
 
@@ -199,17 +204,6 @@ def _print_shapes(model: RobotModel, console: Console) -> None:
             console.print(f"shapes: {error}", markup=False)
     listed = ", ".join(f"{count} {kind}" for kind, count in sorted(kinds.items()))
     console.print(f"collision shapes: {listed or 'none'}", markup=False)
-
-
-def _check(model: RobotModel, file: str, console: Console) -> int:
-    """Print whether the mechanics are those of other programs, which the harness asks; return 1 if they are not."""
-    if not model.n:
-        console.print("nothing moves: there is nothing to check")
-        return DONE
-    lines, wrong = resolve_name(ROBOT_CHECK)(model, file)
-    for line in lines:
-        console.print(line, markup=False)
-    return 1 if wrong else DONE
 
 
 def list_of_scenarios() -> str:

@@ -125,41 +125,34 @@ def draw_figures(
     papers = is_papers(run.scenario.name)
     plain = run.scenario.stabiliser.kind == "none" and run.scenario.compliance.kind == "none"
     bare = "fig7_closure_error_unstabilised" if papers else "fig_closure_error_unstabilised"
-    wanted: list[tuple[str, Callable[[Run], Figure], Run]] = [
-        ("fig4_tip_position" if papers else "fig_tip_position", tip_position, run),
-        ("fig5_contact_force" if papers else "fig_contact_force", contact_force, run),
-        (bare if plain else "fig6_closure_error" if papers else "fig_closure_error", closure_error, run),
-        ("fig_force_control", force_control, run),
+    idle = tip_is_idle(run)  # there is nothing to see of the force and the gap
+    unled = idle and shows_bodies(run)  # nor of a tip that nothing leads
+    of_tip: list[tuple[str, Callable[[Run], Figure], bool]] = [
+        ("fig4_tip_position" if papers else "fig_tip_position", tip_position, not unled),
+        ("fig5_contact_force" if papers else "fig_contact_force", contact_force, not idle),
+        (bare if plain else "fig6_closure_error" if papers else "fig_closure_error", closure_error, not idle),
+        ("fig_force_control", force_control, not unled),
+        ("fig_joints", joints, not papers and has_joints(run)),
     ]
-    if not papers:
-        wanted.append(("fig_joints", joints, run))
-    idle: tuple[Callable[[Run], Figure], ...] = ()
-    if tip_is_idle(run):  # there is nothing to see of the force and the gap
-        idle = contact_force, closure_error
-        if shows_bodies(run):  # nor of a tip that nothing leads
-            idle = *idle, tip_position, force_control
-    if not has_joints(run):
-        idle = *idle, joints
-    wanted = [each for each in wanted if each[1] not in idle]
-    touching: list[tuple[str, Callable[[Run], Figure], Run]] = []
-    if has_bodies(run):
-        touching.append(("fig_bodies", bodies, run))
-    if run.scenario.contact:
-        touching.insert(0 if rests(run) else 1, ("fig_link_contacts", link_contacts, run))  # forces where nothing moves
-    wanted = [*touching, *wanted] if tip_is_idle(run) else [*wanted, *touching]  # the first shows what it is about
-    if has_impacts(run):
-        wanted.append(("fig_impacts", impacts, run))
-    if has_friction(run):
-        wanted.append(("fig_friction", friction_force, run))
-    if has_tool(run):
-        wanted.append(("fig_tool", tool, run))
-    wanted = [each for each in wanted if len(each[2]) > 0]
+    of_links: list[tuple[str, Callable[[Run], Figure], bool]] = [
+        ("fig_bodies", bodies, has_bodies(run)),
+        ("fig_link_contacts", link_contacts, bool(run.scenario.contact)),
+    ]
+    if run.scenario.contact and rests(run):  # forces where nothing moves
+        of_links.reverse()
+    all_figures = [*of_links, *of_tip] if idle else [*of_tip, *of_links]  # the first shows what the run is about
+    all_figures += [
+        ("fig_impacts", impacts, has_impacts(run)),
+        ("fig_friction", friction_force, has_friction(run)),
+        ("fig_tool", tool, has_tool(run)),
+    ]
+    wanted = [(name, draw) for name, draw, there in all_figures if there and len(run) > 0]
     import matplotlib.backends.backend_agg
     import matplotlib.backends.backend_svg  # noqa: F401  before there are two processes
 
-    rest = Beside(lambda: [images_of(draw, what, formats) for _, draw, what in wanted[1::2]])
+    rest = Beside(lambda: [images_of(draw, run, formats) for _, draw in wanted[1::2]])
     try:
-        images = [images_of(draw, what, formats) for _, draw, what in wanted[::2]]
+        images = [images_of(draw, run, formats) for _, draw in wanted[::2]]
         other = None if plain else unstabilised() if callable(unstabilised) else unstabilised
         if isinstance(other, Run):
             other = images_of(closure_error, other, formats) if len(other) > 0 else None
@@ -167,7 +160,7 @@ def draw_figures(
     finally:
         rest.stop()
     images = [(beside if i % 2 else images)[i // 2] for i in range(len(wanted))]
-    written = [write_images(each, Path(folder) / name) for each, (name, *_) in zip(images, wanted, strict=True)]
+    written = [write_images(each, Path(folder) / name) for each, (name, _) in zip(images, wanted, strict=True)]
     if other is not None:
         written.append(write_images(other, Path(folder) / bare))
     return written

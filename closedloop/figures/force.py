@@ -198,11 +198,12 @@ def transients(run: Run, most: int = MOST_PANELS) -> list[tuple[str, slice]]:
         for t, text in style.marks(run)
         if run.time[0] < t < run.time[-1]
     ]
+    around = dict.fromkeys(("touchdown", "stick", "slip"), (short, long))
+    around |= dict.fromkeys(("liftoff", "edge"), (long, short))
     for event in run.events:
-        if event.kind in ("touchdown", "stick", "slip"):
-            wanted.append((event.time, f"{event.kind} at {event.time:.4g} s", short, long, run.contact_force))
-        elif event.kind in ("liftoff", "edge"):
-            wanted.append((event.time, f"{event.kind} at {event.time:.4g} s", long, short, run.contact_force))
+        if event.kind in around:
+            said = f"{event.kind} at {event.time:.4g} s"
+            wanted.append((event.time, said, *around[event.kind], run.contact_force))
     touching = run.contact_force[run.mode != FREE]
     least = MINOR * float(np.ptp(run.contact_force)) if len(run) else 0.0
     least_bend = LEAST_BEND * float(np.ptp(touching)) if touching.size else 0.0

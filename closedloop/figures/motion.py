@@ -240,12 +240,9 @@ def _position_limits(model: RobotModel) -> tuple[Array, Array]:
     """Return the limits of all positions, (nq,), rad (m); a quaternion has none."""
     if not model.balls:
         return model.position_lower, model.position_upper
-    known = {name: j for j, name in enumerate(model.joint_names)}
-    lower, upper = (
-        np.array([limits[known[name]] if name in known else far for name in model.coordinate_names])
-        for limits, far in ((model.position_lower, -np.inf), (model.position_upper, np.inf))
-    )
-    return lower, upper
+    lower, upper = (dict(zip(model.joint_names, x, strict=True)) for x in (model.position_lower, model.position_upper))
+    names = model.coordinate_names
+    return np.array([lower.get(name, -np.inf) for name in names]), np.array([upper.get(name, np.inf) for name in names])
 
 
 def _colours(run: Run, names: tuple[str, ...]) -> dict[str, str]:

@@ -83,18 +83,21 @@ class Answers:
         self._history, self.law, self._given, self._say = history, law, model, say
         self._models: dict[Hashable, RobotModel] = {}
         self._ready: set[tuple[Any, ...]] = set()
-        self._began = self._worked = 0.0
 
     def answer(self, changes: Changes, key: str = "") -> Answer:
         """Run the scenario with these changes; `key` is the one changed last."""
-        self._begin_clocks()
+        began, worked = clock.perf_counter(), clock.thread_time()
 
         def took(run: Run | None, **more: str) -> Answer:
-            seconds, effort = clock.perf_counter() - self._began, clock.thread_time() - self._worked
+            seconds, effort = clock.perf_counter() - began, clock.thread_time() - worked
             return Answer(changes, key, run, seconds=seconds, effort=effort, **more)
 
         try:
-            return took(self._run(self._history.scenario(changes)))
+            scenario = self._history.scenario(changes)
+            model, engine = self.model(scenario), self.engine(scenario)
+            if self._compile(scenario, model, engine):  # what is compiled once is no part of what a run takes
+                began, worked = clock.perf_counter(), clock.thread_time()
+            return took(self._run(scenario, model, engine))
         except SimulationError as error:
             run = error.run if error.run is not None and len(error.run) else None
             return took(run, stopped=one_line(str(error)))
@@ -103,13 +106,7 @@ class Answers:
         except MemoryError:
             return took(None, fault="out of memory: ask for fewer steps")
 
-    def _begin_clocks(self) -> None:
-        self._began, self._worked = clock.perf_counter(), clock.thread_time()
-
-    def _run(self, scenario: Scenario) -> Run:
-        model, engine = self.model(scenario), self.engine(scenario)
-        if self._compile(scenario, model, engine):
-            self._begin_clocks()  # what is compiled once is no part of what a run takes
+    def _run(self, scenario: Scenario, model: RobotModel, engine: str) -> Run:
         law = fresh(self.law)
         with held_back():
             problem = prepare(scenario, model, self._cache)

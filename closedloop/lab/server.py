@@ -50,8 +50,7 @@ class Newest(Generic[Q, A]):
     """A thread that computes the newest request.
 
     `compute`, `show`: from a request to its answer, and what takes each answer, both in the thread; also an answer that
-    a
-    newer request has overtaken is shown, so that something moves.
+    a newer request has overtaken is shown, so that something moves.
     `rest`, `most`: wait until no other request has come for `rest`, s, but no longer than `most` after the first that
     waits, or `SHARE` times what the work took last; on and on if it took more than `LONG`.
     `held`: whether something goes on that will bring another request. Then it does not rest.

@@ -39,19 +39,20 @@ from robot_models.loop_joint import LoopJoint
 
 def element(into: ElementTree.Element, tag: str, **attributes: Any) -> ElementTree.Element:
     """Add an element; numbers have as many digits as tell them apart from all others, and None is left out."""
-    text = {
-        name: value if isinstance(value, str) else numbers(value)
-        for name, value in attributes.items()
-        if value is not None
-    }
+    said = {name: value for name, value in attributes.items() if value is not None}
+    text = {name: value if isinstance(value, str) else numbers(value) for name, value in said.items()}
     return ElementTree.SubElement(into, tag, text)
+
+
+def child_of(root: ElementTree.Element, tag: str) -> ElementTree.Element:
+    """Return the part of a file with this tag, made if there is none."""
+    return element(root, tag) if (found := root.find(tag)) is None else found
 
 
 def numbers(values: ArrayLike, digits: int = 17) -> str:
     """Return a number, or those of an array in their order, as text with so many digits."""
-    return " ".join(
-        repr(x) if digits > 16 or isinstance(x, int) else f"{x:.{digits}g}" for x in np.ravel(values).tolist()
-    )
+    exact, found = digits > 16, np.ravel(values).tolist()
+    return " ".join(repr(x) if exact or isinstance(x, int) else f"{x:.{digits}g}" for x in found)
 
 
 def quaternion(axes: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -201,10 +202,9 @@ def add_equalities(root: ElementTree.Element, scene: Scene, mechanism: Any) -> N
     held = element(root, "equality")
     for loop in scene.run.model.loops:
         if loop.coefficients:
-            made = element(root, "tendon") if (tendons := root.find("tendon")) is None else tendons
             sides = [(f"{loop.name} {side}", each) for side, each in enumerate(loop.sums, 1) if each]
             for name, each in sides:
-                length = element(made, "fixed", name=name)
+                length = element(child_of(root, "tendon"), "fixed", name=name)
                 for bound, coefficient in each.items():
                     element(length, "joint", joint=bound, coef=coefficient)
             names = {f"tendon{side}": name for side, (name, _) in enumerate(sides, 1)}
@@ -213,8 +213,7 @@ def add_equalities(root: ElementTree.Element, scene: Scene, mechanism: Any) -> N
             names = dict(zip(("joint1", "joint2"), loop.joints, strict=False))
             element(held, "joint", name=loop.name, polycoef=loop.polynomial, **names)
         elif loop.type == "distance":
-            tendons = root.find("tendon")
-            rod = element(element(root, "tendon") if tendons is None else tendons, "spatial", name=loop.name)
+            rod = element(child_of(root, "tendon"), "spatial", name=loop.name)
             ends, data = [], mechanism.createData()
             pin.forwardKinematics(mechanism, data, np.zeros(mechanism.nq))  # MuJoCo's tendons have their length here
             for side, name in enumerate(loop.frames):
@@ -280,8 +279,7 @@ def write_mjcf(run: Run, path: str | Path) -> list[Path]:
     """Write the scene of a run as MJCF, and return its path in a list.
 
     Raises ScenarioError if there is no row, MuJoCo has no equality for a loop joint, or the surface's class is not
-    named;
-    OutputError if the file cannot be written.
+    named; OutputError if the file cannot be written.
     """
     if not len(run):
         raise ScenarioError(f"{run.scenario.name}: the run has no rows: there is no scene")
@@ -316,11 +314,9 @@ def mjcf_of(run: Run) -> ElementTree.Element:
     for joint in driven:
         name, most = str(mechanism.names[joint]), float(run.model.effort_limit[mechanism.joints[joint].idx_v])
         element(motors, "motor", name=name, joint=name, ctrlrange=(-most, most) if np.isfinite(most) else None)
-    columns: list[int] = []
-    places: list[int] = []
-    for joint in (mechanism.joints[joint] for joint in order):
-        places += range(joint.idx_q, joint.idx_q + joint.nq)
-        columns += range(joint.idx_v, joint.idx_v + joint.nv)
+    joints = [mechanism.joints[joint] for joint in order]
+    places = [at for joint in joints for at in range(joint.idx_q, joint.idx_q + joint.nq)]
+    columns = [at for joint in joints for at in range(joint.idx_v, joint.idx_v + joint.nv)]
     powered = [mechanism.joints[joint].idx_v for joint in driven]
     for name, row in (("start", 0), ("end", len(run) - 1)):
         states = {"qpos": run.q[row, places], "qvel": run.v[row, columns], "ctrl": run.torque[row, powered]}

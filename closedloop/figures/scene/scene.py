@@ -217,8 +217,6 @@ class Scene:
         """The robot's shapes, each in the frame of a joint, or of a [[mocap]]."""
         shapes, first = robot_shapes(self.run.model, self.tip), mechanism_of(self.model).njoints
         moved = {name: (first + k, each) for k, each in enumerate(self.robot.moved) for name in each.names}
-        if not moved:
-            return shapes
         found = []
         for shape in shapes:
             if shape.frame in moved:  # given in the base frame
@@ -295,8 +293,7 @@ class Scene:
         """Return the forces in each of some rows: the same ones, in the same order, in all.
 
         First those at the tip, that of the surface and the commanded one; then of each loop joint on its second side,
-        of each
-        contact of links, or patch of many, on the link that has the point; and each force from outside.
+        of each contact of links, or patch of many, on the link that has the point; and each force from outside.
         """
         reactions = reactions_in(self.run, np.asarray(rows, dtype=np.int64))
         found = [self._at_tip(row) for row in rows]

@@ -79,8 +79,7 @@ def regular_swing(x: Array, bound: float, h: float, begin: float, periods: int =
     """Return the swing of a signal (N,), `h` s apart, of `periods` and more beyond ±`bound`; None without one.
 
     A period is from one rise through the middle to the next, with excursions to both sides beyond half the bound and
-    half
-    the RMS; the last third of them must reach the bound, and all must last about equally long.
+    half the RMS; the last third of them must reach the bound, and all must last about equally long.
     """
     if len(x) < periods * ROWS_IN_PERIOD:
         return None

@@ -103,8 +103,7 @@ def friction_off_slip(run: Record) -> dict[str, float] | None:
     """Return the largest angle between −F_t and the slip, degrees, when, s, and the fastest slip at which there is one.
 
     No step resolves slip that friction would turn within it (`closedloop.loop.step.tip_friction`). None where friction
-    is
-    along the slip to `LEAST_ANGLE`, and of laws with elastic bristles, which have a direction of their own.
+    is along the slip to `LEAST_ANGLE`, and of laws with elastic bristles, which have a direction of their own.
     """
     if run.scenario.friction.kind == "none" or run.scenario.friction.sticks != "rigid" or not len(run):
         return None

@@ -104,8 +104,7 @@ class Arm:
     """The arm of a scenario as its own controller has it.
 
     Frames, (4, 4): O the base, F the flange, NE the nominal end effector, here the tip of the scenario, EE the end
-    effector
-    that the client sets from there, K the stiffness frame that it sets from EE.
+    effector that the client sets from there, K the stiffness frame that it sets from EE.
 
     `fingers`: how many joints of a hand come after the arm's seven; `urdf`: the description for the client.
     `load`: mass, kg, centre of mass (3,), m, in F, and tensor about it, (9,), kg m², that the client has set.
@@ -205,8 +204,7 @@ class Generator:
     """Wanted positions of the joints, and what has been commanded.
 
     `q`, `dq`, `ddq`, `jerk` (7,): wanted positions, rad, and their rates; `pose` (4, 4): of the end effector, commanded
-    or
-    at the start; `twist`, `acceleration`, `twist_jerk` (6,): its velocity, m/s and rad/s, and rates, base axes.
+    or at the start; `twist`, `acceleration`, `twist_jerk` (6,): its velocity, m/s and rad/s, and rates, base axes.
     """
 
     def __init__(self, arm: Arm, period: float) -> None:
@@ -351,8 +349,7 @@ class Reflexes:
 
     `torque` (7,), `wrench`, `wrench_in_K` (6,): external torques, N m, and the wrench at K in base axes and its own.
     `contact`, `collision` (13,): 1 where a torque, or a component of the wrench in K, is above its lower threshold, and
-    has
-    been above its upper one since the last recovery; `watches`: whether the client has set thresholds.
+    has been above its upper one since the last recovery; `watches`: whether the client has set thresholds.
     """
 
     def __init__(self, arm: Arm, period: float) -> None:

@@ -68,9 +68,8 @@ def columns(here: Here, name: str, steps: Array, held: bool) -> dict[str, Array]
     `Here.flat`.
 
     Central differences at a step and half of it cancel the error of second order (Richardson). Where they are far
-    apart, as
-    over a change of the contact's mode, the step, at first of `steps` (k,), is a tenth of it; the best of `MOST` is
-    taken.
+    apart, as over a change of the contact's mode, the step, at first of `steps` (k,), is a tenth of it; the best of
+    `MOST` is taken.
     Raises EventHere if no step stays clear of a change of mode, or there is no derivative.
     """
     value, k = here.flat(held), steps.size

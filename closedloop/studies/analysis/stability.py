@@ -227,9 +227,8 @@ class Stability:
         """Return the boundary over two keys: for values of `along`, the limits of `over`, until `stop` is true.
 
         The first value's whole range is looked at; then limits are followed, and looked for again where one ends. A
-        second
-        process takes every other value, if it can. Without a limit at `FIRST_LOOKS` values the others are not looked
-        at.
+        second process takes every other value, if it can. Without a limit at `FIRST_LOOKS` values the others are not
+        looked at.
         """
         shares = np.linspace(0.0, 1.0, points)
         first = shares[np.unique(np.linspace(0, points - 1, min(points, FIRST_LOOKS)).round().astype(int))]
@@ -292,8 +291,7 @@ class Stability:
         """Run the whole nonlinear loop on from the instant below and above a limit; see `Trial`.
 
         The linear loop is that of the middle of these runs. Left out is what becomes stable or unstable as the posture
-        changes,
-        what has no scenario or no linear loop, and a pole too slow for what is left of the run.
+        changes, what has no scenario or no linear loop, and a pole too slow for what is left of the run.
         """
         trials = []
         for factor in (1.0 - BESIDE, 1.0 + BESIDE):

@@ -429,8 +429,7 @@ def expected_force(
     """Return the force on the tip that follows from motion and torques, beside the recorded one; see `audit`.
 
     These are rows (R,), the force there (R, 3), N, base axes, the recorded one of all rows, filtered, the share of
-    torque
-    beyond motion and drives that a force at the tip explains, and the cutoff, Hz.
+    torque beyond motion and drives that a force at the tip explains, and the cutoff, Hz.
     """
     torque, force = recording.torque, recording.force
     if torque is None or force is None:

@@ -260,8 +260,8 @@ def grazes(run: Run) -> list[str]:
     """Return in words where a step does not tell whether an open contact of a link touches between two rows.
 
     A parabola through three rows has its least value up to a h²/8 below them, a the gap's second derivative: a contact
-    that
-    is nearer may touch and part without an event. The tip's least gap, and adaptive integrators' contacts, are located.
+    that is nearer may touch and part without an event. The tip's least gap, and adaptive integrators' contacts, are
+    located.
     """
     if not run.scenario.contact or len(run) < 3 or run.scenario.time.integrator in ADAPTIVE:
         return []

@@ -90,8 +90,7 @@ def between_counts(q: Array) -> Array:
     """Return positions (N, n) that encoders count, with those between two counts where there are counts.
 
     Two rows between which the count changes tell the position to the way of one row; between such instants Akima's
-    cubics
-    do, within half a count: where a joint is slow the error of a count is no white noise.
+    cubics do, within half a count: where a joint is slow the error of a count is no white noise.
     """
     found = np.array(q)
     for j, count in enumerate(count_of(q)):

@@ -193,8 +193,7 @@ class Design(Sequence[tuple[Any, ...]]):
     """The values of the axes' keys for every run.
 
     `kind`: every value with every other, the last axis fastest; `count` independent draws; or draws of which each axis
-    has
-    exactly one in each of `count` equal intervals (McKay, Beckman and Conover 1979).
+    has exactly one in each of `count` equal intervals (McKay, Beckman and Conover 1979).
     """
 
     def __init__(self, axes: Sequence[Axis], kind: str = GRID, count: int = 0, seed: int = 0) -> None:

@@ -50,7 +50,7 @@ from closedloop.studies.gradient.gradient import sensitivities as sensitivities
 from closedloop.studies.identify.contact.identify_contact import identify_contact as identify_contact
 from closedloop.studies.identify.excite import excite as excite
 from closedloop.studies.identify.identify import identify as identify
-from closedloop.studies.identify.log import Log as Log
+from closedloop.studies.identify.motion import Log as Log
 from closedloop.studies.sweep.maps import sweep_plot as sweep_plot
 from closedloop.studies.tune.tune import tune as tune
 

@@ -166,7 +166,7 @@ def warn_of_no_surface(scenario: Scenario) -> None:
 
 def warn_of_hulls(scenario: Scenario, model: Any) -> None:
     """Say which collision meshes are not convex, so that their hulls touch."""
-    from closedloop.scenario.collision import hulls_taken
+    from closedloop.scenario.arm import hulls_taken
 
     try:
         lines = hulls_taken(scenario, model)
@@ -282,7 +282,7 @@ def _job(options: Namespace, overrides: dict[str, Any]) -> Job:
             "add --law MODULE:FUNCTION"
         )
 
-    from closedloop.scenario.collision import with_collision_shapes
+    from closedloop.scenario.arm import with_collision_shapes
     from closedloop.simulation.engines.law_source import law_digest
     from closedloop.simulation.prepare import load_model
     from closedloop.simulation.simulate import check_engine

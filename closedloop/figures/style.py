@@ -16,8 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.base.families import Absent
-from closedloop.control.reference.force import StepForceSection
-from closedloop.control.reference.path import path_normal, tip_path
+from closedloop.control.reference.path import StepForceSection, path_normal, tip_path
 from closedloop.loop.events import table
 from closedloop.mechanics.closure.contact_force import FREE, PRESSED, STUCK
 from closedloop.record.run import Run

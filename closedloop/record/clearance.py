@@ -22,7 +22,7 @@ from closedloop.base.errors import ModelError
 from closedloop.mechanics.surface.placed import unit
 from closedloop.record.columns.record import Record
 from closedloop.record.columns.touching import placed_frame
-from closedloop.scenario.collision import hull_of, parts_of
+from closedloop.scenario.arm import hull_of, parts_of
 from robot_models import RobotModel
 from robot_models.collision import CollisionShape, collision_shapes
 from robot_models.coordinates import in_pinocchios_order

@@ -41,7 +41,7 @@ from closedloop.base.upwards import called
 from closedloop.control.drives import DrivesSection, TransmissionSection
 from closedloop.control.law import COMPENSATIONS, LAWS, Compensation, ControlLaw
 from closedloop.control.reference import path as paths
-from closedloop.control.reference.force import ConstantForceSection, ForceProfile
+from closedloop.control.reference.path import ConstantForceSection, ForceProfile
 from closedloop.control.sensor import NO_ENCODER, EncoderSection, Seed, SensorSection, encoder_kind
 from closedloop.mechanics.contacts.sections import ContactSection, ImpactSection
 from closedloop.mechanics.friction.law import JOINT_LAWS, SURFACE_LAWS, FrictionLaw, JointFriction, SurfaceFriction

@@ -20,8 +20,7 @@ from closedloop.control.drives import torque_limits, torque_steps, transmission_
 from closedloop.control.law import Compensation
 from closedloop.control.laws.paper import PaperLaw
 from closedloop.control.reference.desired import Desired, DrawnRow, Motion, Reference, TableRow, desired
-from closedloop.control.reference.force import force_at
-from closedloop.control.reference.path import refuse_narrow
+from closedloop.control.reference.path import force_at, refuse_narrow
 from closedloop.control.reference.tip_path import TipPath, edge_key
 from closedloop.control.sensor import check_steps, draws, encoder_draws, pack_sensor
 from closedloop.jit.parameters import lists_per_joint, pack
@@ -39,7 +38,7 @@ from closedloop.mechanics.surface.placed import PlacedSurface, Touching, unit
 from closedloop.mechanics.surface.surface import Surface, largest_mobility
 from closedloop.record.columns.derived import StatesOf
 from closedloop.scenario import arm
-from closedloop.scenario.collision import with_collision_shapes
+from closedloop.scenario.arm import with_collision_shapes
 from closedloop.scenario.modes import check_transmission
 from closedloop.scenario.scenario import NO_ROBOT, Scenario
 from closedloop.scenario.user_module import member_digests

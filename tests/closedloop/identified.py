@@ -4,7 +4,7 @@ import numpy as np
 import pinocchio as pin
 
 import robot_models
-from closedloop.studies.identify.log import Log
+from closedloop.studies.identify.motion import Log
 from closedloop.studies.identify.regressor import Regressor, Terms
 
 FRICTION = {"viscous": 1.5, "dry": 2.0, "offset": 0.4}

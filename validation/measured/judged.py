@@ -27,8 +27,7 @@ from closedloop.base.arrays import Array
 from closedloop.base.errors import ModelError
 from closedloop.base.files import reason_of
 from closedloop.studies.identify.identify import Estimate, Identification
-from closedloop.studies.identify.log import Log
-from closedloop.studies.identify.motion import motion
+from closedloop.studies.identify.motion import Log, motion
 from closedloop.studies.identify.regressor import BOUNDED
 from closedloop.studies.identify.written import physical, robot_files
 

@@ -23,10 +23,9 @@ from numpy.typing import NDArray
 import robot_models
 from closedloop.base.arrays import Array
 from closedloop.base.errors import ModelError
-from closedloop.studies.identify.fit import fit
 from closedloop.studies.identify.identify import Identification, identify
-from closedloop.studies.identify.log import Log
-from closedloop.studies.identify.motion import joined, motion
+from closedloop.studies.identify.motion import Log, joined, motion
+from closedloop.studies.identify.regressor import fit
 from validation.measured.judged import DATA, Judged, add_forward, add_parameters, add_torques, columns
 
 STEP = 0.004  # s

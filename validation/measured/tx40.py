@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from closedloop.studies.identify.identify import Identification, identify
-from closedloop.studies.identify.log import Log
+from closedloop.studies.identify.motion import Log
 from validation.measured.judged import DATA, Judged, add_parameters, add_torques, columns, entries, with_half
 
 RATE = 2500.0  # Hz

@@ -12,7 +12,7 @@ IEEE Trans. Industrial Informatics (2025), doi 10.1109/TII.2025.3534415.
 from pathlib import Path
 
 from closedloop.studies.identify.identify import identify
-from closedloop.studies.identify.log import Log
+from closedloop.studies.identify.motion import Log
 from validation.measured.judged import Judged, add_forward, add_parameters, add_torques, columns
 
 CUTOFF = 5.0  # Hz; the torques were smoothed

@@ -19,12 +19,13 @@ from numpy.typing import NDArray
 from closedloop.base.arrays import Array
 from closedloop.base.errors import ScenarioError
 from closedloop.control.reference import inverse_kinematics as ik
-from closedloop.control.reference.force import ForceProfile, force_at
 from closedloop.control.reference.path import (
     ASKEW,
     FREE_ORIENTATION,
+    ForceProfile,
     Orientation,
     Path,
+    force_at,
     orientation_of,
     path_on,
     refuse_tool_too_large,

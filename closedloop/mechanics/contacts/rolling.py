@@ -24,7 +24,7 @@ work that nothing supplies. A disc with
 
     X |t| < h |ṫ| + X t0
 
-stands: what was its lowest point is a point of the body, as its feet are (`closedloop.scenario.collision`). Where
+stands: what was its lowest point is a point of the body, as its feet are (`closedloop.scenario.arm`). Where
 another has come to be deeper it goes on, with an impact, to the next corner of a polygon in the edge: to a point as
 high as the one it stood on, beyond the lowest. It rolls where the tilt is resolved and the lowest point is the one it
 stands on. A foot is a point of the edge, and no contact while the edge rolls.

@@ -19,7 +19,7 @@ from scipy.optimize import brentq, minimize_scalar
 from closedloop.base.arrays import Array
 from closedloop.base.errors import DivergenceError
 from closedloop.control.reference.desired import Desired, Reference
-from closedloop.control.reference.force import SineForceSection, StepForceSection, WaypointForceSection
+from closedloop.control.reference.path import SineForceSection, StepForceSection, WaypointForceSection
 from closedloop.jit.interpreted import interpreted
 from closedloop.loop.events import locate
 from closedloop.loop.events.proceed import BEGIN_STEP, DERIVE, EVENT_VALUE, RECORD

@@ -30,7 +30,7 @@ from closedloop.simulation.engines.loops import COMPILED
 from closedloop.simulation.simulate import simulate
 from closedloop.studies.comparison import recording as logs
 from closedloop.studies.comparison.recording import Audit, Reason, Recording
-from closedloop.studies.identify.log import LogError
+from closedloop.studies.identify.motion import LogError
 from robot_models import RobotModel
 
 if TYPE_CHECKING:

@@ -23,8 +23,15 @@ from closedloop.base.arrays import Array
 from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.record.report.control_verdict import rms
 from closedloop.record.run import Run
-from closedloop.studies.identify.log import Log, LogError, check_motion, check_positions, check_time, check_torques
-from closedloop.studies.identify.motion import usual_cutoff
+from closedloop.studies.identify.motion import (
+    Log,
+    LogError,
+    check_motion,
+    check_positions,
+    check_time,
+    check_torques,
+    usual_cutoff,
+)
 from closedloop.studies.identify.read import columns_named, factors_of, joints_of, listed, run_of, table_of, time_of
 from robot_models import RobotModel
 

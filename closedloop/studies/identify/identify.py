@@ -14,9 +14,7 @@ from closedloop.base.arguments import arguments_checked
 from closedloop.base.arrays import Array, plain
 from closedloop.base.errors import ModelError
 from closedloop.record.run import Run
-from closedloop.studies.identify.fit import Fit, fit, whiteness
-from closedloop.studies.identify.log import Log, checked
-from closedloop.studies.identify.motion import Motion, joined, motion, usual_cutoff
+from closedloop.studies.identify.motion import Log, Motion, checked, joined, motion, usual_cutoff
 from closedloop.studies.identify.read import log_of_run
 from closedloop.studies.identify.regressor import (
     BOUNDED,
@@ -25,9 +23,12 @@ from closedloop.studies.identify.regressor import (
     REST,
     BaseParameters,
     Columns,
+    Fit,
     Regressor,
     Terms,
     base_parameters,
+    fit,
+    whiteness,
 )
 
 if TYPE_CHECKING:
@@ -198,8 +199,8 @@ def identify(
     Parameters
     ----------
     log : Log or Run, or several
-        Time, positions and torques, see `closedloop.studies.identify.log.Log` and `read_log`. The force on the tip of a
-        run is added to its torques.
+        Time, positions and torques, see `closedloop.studies.identify.motion.Log` and `read_log`. The force on the tip
+        of a run is added to its torques.
     robot : RobotModel, or what `robot_models.load` takes
         Its kinematics are used; the inertias in its file are not.
     friction : of "viscous", "dry", "offset", "load"
@@ -233,7 +234,7 @@ def identify(
     Raises
     ------
     LogError
-        If the log is at fault, see `closedloop.studies.identify.log.checked`.
+        If the log is at fault, see `closedloop.studies.identify.motion.checked`.
     ModelError
         If an argument is, or the robot cannot be loaded.
     """

@@ -24,7 +24,7 @@ from closedloop.base.errors import missing_line, needs
 from closedloop.base.files import kind_of, reason_of
 from closedloop.figures.export.files import DEFINITIONS
 from closedloop.simulation.batch.threads import Done, uninterrupted
-from closedloop.studies.identify.log import Log, LogError
+from closedloop.studies.identify.motion import Log, LogError
 
 if TYPE_CHECKING:
     from closedloop.record.run import Run

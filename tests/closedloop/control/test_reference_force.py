@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import closedloop as cl
-from closedloop.control.reference.force import (
+from closedloop.control.reference.path import (
     ConstantForceSection,
     SineForceSection,
     StepForceSection,

@@ -8,7 +8,7 @@ import closedloop as cl
 import robot_models
 from closedloop.base.errors import ScenarioError
 from closedloop.figures.scene.solids import robot_shapes
-from closedloop.scenario.collision import hulls_taken, parts_of, with_collision_shapes
+from closedloop.scenario.arm import hulls_taken, parts_of, with_collision_shapes
 from robot_models.collision import CollisionShape, collision_shapes
 
 GEOMS = """<mujoco><worldbody><body name="body"><freejoint/><inertial mass="1" pos="0 0 0" diaginertia="1 1 1"/>

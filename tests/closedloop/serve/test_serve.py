@@ -25,7 +25,7 @@ import closedloop as cl
 from closedloop.__main__ import main
 from closedloop.jit.kernel import jit_disabled
 from closedloop.loop.events.transitions import collide
-from closedloop.serve.messages import ERROR, HEAD, MAGIC, NUMBERS, REQUESTS
+from closedloop.serve.serve import ERROR, HEAD, MAGIC, NUMBERS, REQUESTS
 from closedloop.serve.session import Clock
 
 SCENARIO = "panda_slide"

@@ -15,7 +15,7 @@ import pytest
 
 import closedloop as cl
 from closedloop.serve import ur
-from closedloop.serve.messages import wrench
+from closedloop.serve.serve import wrench
 
 ARM = """
 [robot]

@@ -20,7 +20,7 @@ from closedloop.studies.comparison.recording import (
     of_torques,
     read_recording,
 )
-from closedloop.studies.identify.log import LogError
+from closedloop.studies.identify.motion import LogError
 
 
 @pytest.fixture(scope="module")

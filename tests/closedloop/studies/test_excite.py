@@ -10,7 +10,7 @@ import robot_models
 from closedloop.base.errors import ModelError
 from closedloop.command.logs import excite as main
 from closedloop.studies.identify.excite import _Series
-from closedloop.studies.identify.log import Log
+from closedloop.studies.identify.motion import Log
 from closedloop.studies.identify.regressor import Regressor, Terms
 
 

@@ -10,8 +10,8 @@ from scipy import signal
 
 import closedloop as cl
 import robot_models
-from closedloop.studies.identify.fit import fit
-from closedloop.studies.identify.log import LogError
+from closedloop.studies.identify.motion import LogError
+from closedloop.studies.identify.regressor import fit
 from closedloop.studies.identify.written import friction_section, report, torque_figure, write
 
 NOISE = (2e-5, 0.3)  # rad, N m

@@ -13,7 +13,7 @@ from closedloop.figures.export.files import write_mcap
 from closedloop.simulation.batch.threads import Done
 from closedloop.studies.comparison.recording import read_recording
 from closedloop.studies.identify import read as bag_module
-from closedloop.studies.identify.log import LogError
+from closedloop.studies.identify.motion import LogError
 from closedloop.studies.identify.read import read_log
 
 pytest.importorskip("mcap_ros2")

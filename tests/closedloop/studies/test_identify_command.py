@@ -13,7 +13,7 @@ from identified import simulated, true_base
 import closedloop as cl
 import robot_models
 from closedloop.command.logs import identify as main
-from closedloop.studies.identify.log import LogError
+from closedloop.studies.identify.motion import LogError
 from closedloop.studies.identify.read import log_of_run, read_log
 from closedloop.studies.identify.regressor import Regressor, Terms
 from closedloop.studies.identify.written import LEAST, _logarithms, physical, robot_files

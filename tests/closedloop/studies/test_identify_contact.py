@@ -14,7 +14,7 @@ from closedloop.base.errors import ModelError
 from closedloop.command.logs import identify as main
 from closedloop.studies.identify.contact.found import _begin, _estimates, touch_of
 from closedloop.studies.identify.contact.identify_contact import impacts_of
-from closedloop.studies.identify.log import LogError
+from closedloop.studies.identify.motion import LogError
 
 STEP = 0.001
 TRUE = {

@@ -11,19 +11,32 @@ from scipy import signal, stats
 
 import closedloop as cl
 import robot_models
-from closedloop.studies.identify.fit import UNIQUE, _autoregression, _covariance, fit, told_apart
 from closedloop.studies.identify.identify import PIECES, _pieces
-from closedloop.studies.identify.log import Log, LogError, check_velocities, checked
 from closedloop.studies.identify.motion import (
     ABOVE_MOTION,
+    Log,
+    LogError,
     Motion,
     between_counts,
+    check_velocities,
+    checked,
     count_of,
     joined,
     motion,
     usual_cutoff,
 )
-from closedloop.studies.identify.regressor import NOISY, REST, Regressor, Terms, base_parameters
+from closedloop.studies.identify.regressor import (
+    NOISY,
+    REST,
+    UNIQUE,
+    Regressor,
+    Terms,
+    _autoregression,
+    _covariance,
+    base_parameters,
+    fit,
+    told_apart,
+)
 
 SIZE = 4
 
@@ -211,7 +224,7 @@ def test_velocities_are_compared_by_the_trapezoidal_rule():
 
 def test_the_covariance_is_that_of_all_windows_with_each_other(monkeypatch):
     """Of 60 windows of correlated noise, pair by pair: rows φ^|t − t'| s²/(1 − φ²) rowsᵀ, the first windows too."""
-    monkeypatch.setattr("closedloop.studies.identify.fit.FEWEST", 1e12)  # intervals as of a normal distribution
+    monkeypatch.setattr("closedloop.studies.identify.regressor.FEWEST", 1e12)  # intervals as of a normal distribution
     noise = signal.lfilter([1.0], [1.0, -0.9], np.random.default_rng(3).normal(size=260))[200:, None]
     X, used = np.stack([np.ones((60, 1)), np.linspace(-1.0, 1.0, 60)[:, None]], axis=2), np.ones((60, 1), dtype=bool)
     rows, sigma = np.linalg.pinv(X[:, 0]), noise.std(axis=0)

@@ -7,8 +7,7 @@ from pydantic import Field
 
 from closedloop.base.arrays import Array
 from closedloop.base.errors import ScenarioError
-from closedloop.control.reference.force import MotionInstants, Points
-from closedloop.control.reference.path import Path
+from closedloop.control.reference.path import MotionInstants, Path, Points
 from closedloop.control.reference.tip_path import TipPath, constant, minimum_jerk, through
 
 

@@ -44,11 +44,9 @@ from closedloop.base.arrays import Array, Mask
 from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.studies.comparison.recording import EDGE, Recording, expected_force
 from closedloop.studies.identify import motion
-from closedloop.studies.identify.fit import Fit, fit, whiteness
 from closedloop.studies.identify.identify import WHITENESS_LEVEL, Estimate
-from closedloop.studies.identify.log import Log, LogError
-from closedloop.studies.identify.motion import Motion, white_noise
-from closedloop.studies.identify.regressor import NOISY
+from closedloop.studies.identify.motion import Log, LogError, Motion, white_noise
+from closedloop.studies.identify.regressor import NOISY, Fit, fit, whiteness
 from robot_models.model import carried_by
 
 # A force above this share of its range is surely of a contact; it counts as one above the other, or this many noises.

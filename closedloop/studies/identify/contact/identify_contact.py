@@ -28,8 +28,7 @@ from closedloop.studies.identify import motion
 from closedloop.studies.identify.contact import found as fits
 from closedloop.studies.identify.contact.found import Part, Touch, unknown
 from closedloop.studies.identify.identify import Estimate
-from closedloop.studies.identify.log import LogError, check_positions
-from closedloop.studies.identify.motion import white_noise
+from closedloop.studies.identify.motion import LogError, check_positions, white_noise
 
 if TYPE_CHECKING:
     from os import PathLike

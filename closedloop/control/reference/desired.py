@@ -19,17 +19,7 @@ from numpy.typing import NDArray
 from closedloop.base.arrays import Array
 from closedloop.base.errors import ScenarioError
 from closedloop.control.reference import inverse_kinematics as ik
-from closedloop.control.reference.path import (
-    ASKEW,
-    FREE_ORIENTATION,
-    ForceProfile,
-    Orientation,
-    Path,
-    force_at,
-    orientation_of,
-    path_on,
-    refuse_tool_too_large,
-)
+from closedloop.control.reference import path as paths
 from closedloop.control.reference.tip_path import Segment, TipPath, refuse_beyond_edge, refuse_without_normal, seams
 from closedloop.jit.blocks import Block, Count
 from closedloop.jit.interim import call_once
@@ -77,7 +67,7 @@ FEW_KNOTS, FEW_WITH_LOOPS = 2_000, 1_000
 DIFFERENCES = 257  # points at which a segment's acceleration is sampled to choose the first intervals
 
 
-def follow(robot: Robot, q: Array, path: TipPath, held: Orientation = FREE_ORIENTATION) -> ik.JointPath:
+def follow(robot: Robot, q: Array, path: TipPath, held: paths.Orientation = paths.FREE_ORIENTATION) -> ik.JointPath:
     """Return the joint path whose tip runs along `path` from joint positions q (n,), at which the tip is at its start.
 
     An orientation that is `held` begins at the posture next to q that has it, if that is within a degree.
@@ -107,11 +97,11 @@ class Follower(NamedTuple):
     """Who follows a path: the arm, what is held of the tool's orientation, and its axes in the tip's link (3, 3)."""
 
     robot: Robot
-    held: Orientation
+    held: paths.Orientation
     axes: Array
 
     @classmethod
-    def of(cls, robot: Robot, q: Array, held: Orientation) -> "Follower":
+    def of(cls, robot: Robot, q: Array, held: paths.Orientation) -> "Follower":
         """Return who follows, of an arm that begins at joint positions q (n,)."""
         free = held.rows == ik.POSITION
         return cls(robot, held, np.zeros((3, 3)) if free else np.ascontiguousarray(held.in_link(robot, q)))
@@ -142,7 +132,7 @@ class Follower(NamedTuple):
         return way, reached, outcome
 
 
-def _aligned(robot: Robot, q: Array, held: Orientation) -> Array:
+def _aligned(robot: Robot, q: Array, held: paths.Orientation) -> Array:
     """Return the posture next to q (n,) in which the tip is at the same place and the tool is as it is to be held."""
     held.check_joints(robot, q)
     r, still = robot.position(q)[None], np.zeros((1, 3))
@@ -152,14 +142,14 @@ def _aligned(robot: Robot, q: Array, held: Orientation) -> Array:
             q, np.array([0.0, 1.0]), np.repeat(target, 2, axis=0), target
         )
     angle = held.askew(robot, q)
-    if outcome[ik.ENDED] == ik.REACHED and angle <= ASKEW:
+    if outcome[ik.ENDED] == ik.REACHED and angle <= paths.ASKEW:
         return np.array(way.q[1])
     nearest = "another posture"
     if outcome[ik.ENDED] == ik.REACHED:
         nearest = f"start.q = {[round(float(x), 9) + 0.0 for x in way.q[1]]}"
     raise ScenarioError(
         f"{held.said}: the tool is turned {math.degrees(angle):.4g} degrees away from it at the start, and "
-        f"{math.degrees(ASKEW):g} degree is the most: start with {nearest}"
+        f"{math.degrees(paths.ASKEW):g} degree is the most: start with {nearest}"
     )
 
 
@@ -317,19 +307,19 @@ class Motion:
 class Desired(Motion):
     """The desired motion and force as functions of time."""
 
-    profile: ForceProfile  # the desired force over time
+    profile: paths.ForceProfile  # the desired force over time
     force: float  # law.force, N, which the profile starts from
 
     def table(self, instants: Array, spare: int = 0) -> Array:
         """Return the table of `Motion`, with the force."""
         table = super().table(instants, spare)
-        table[:, Reference.place("force", self.joints.q.shape[1])] = force_at(self.profile, self.force, instants)
+        table[:, Reference.place("force", self.joints.q.shape[1])] = paths.force_at(self.profile, self.force, instants)
         return table
 
 
 def desired(
-    reference: Path, robot: Robot, surface: PlacedSurface, q: Array, duration: float = 0.0, axis: Array = OUTWARDS,
-    radius: float = 0.0,
+    reference: paths.Path, robot: Robot, surface: PlacedSurface, q: Array, duration: float = 0.0,
+    axis: Array = OUTWARDS, radius: float = 0.0,
 ) -> Motion:  # fmt: skip
     """Return the desired motion of a robot that starts at joint positions q (n,).
 
@@ -342,9 +332,9 @@ def desired(
             f"reference.kind = {reference.kind!r}: inverse kinematics follows no path with a robot that a "
             "[[mocap]] moves: leave [reference] out"
         )
-    tip = path_on(reference, robot.known_tip(robot.pinocchios(q))[0], surface, duration)
+    tip = paths.path_on(reference, robot.known_tip(robot.pinocchios(q))[0], surface, duration)
     if reference.on_surface != "no":
         refuse_without_normal(surface, tip)
         refuse_beyond_edge(surface, tip)
-        refuse_tool_too_large(surface, tip, radius)
-    return Motion(tip, follow(robot, q, tip, orientation_of(reference.orientation, axis, robot, q, surface)))
+        paths.refuse_tool_too_large(surface, tip, radius)
+    return Motion(tip, follow(robot, q, tip, paths.orientation_of(reference.orientation, axis, robot, q, surface)))

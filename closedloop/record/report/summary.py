@@ -25,39 +25,10 @@ from closedloop.mechanics.loops.reactions import parts_of
 from closedloop.record.clearance import clearance
 from closedloop.record.columns.record import POSITIONS, Record
 from closedloop.record.columns.touching import contact_torques
+from closedloop.record.report import measures as of_rows
+from closedloop.record.report import verdict as of_numbers
 from closedloop.record.report.control_verdict import judge_control, limited_joints, run_signals
 from closedloop.record.report.halved import step_error
-from closedloop.record.report.measures import (
-    JOINT_MEASURES,
-    MEASURES,
-    NAMES,
-    SPAN,
-    JointLimits,
-    Sample,
-    Scale,
-    Tally,
-    Values,
-    absent_measures,
-    alternation,
-    assumptions_met,
-    begin_tally,
-    energy_left,
-    joint_limits,
-    sample_row,
-    share_inside,
-    torque_power,
-    write_values,
-)
-from closedloop.record.report.verdict import (
-    Facts,
-    count_limited,
-    friction_off_slip,
-    judge,
-    motions_without_drive,
-    not_determined_from,
-    outside_by_the_run,
-    outside_by_the_scenario,
-)
 from closedloop.scenario import modes
 from closedloop.scenario.arm import robot_of
 from closedloop.scenario.tables import names_of
@@ -170,28 +141,31 @@ def columns_of(run: Record, rows: slice = slice(None)) -> Any:
 def run_values(run: Record) -> Any:
     """Return the values of a run of at least one row, see `closedloop.record.report.measures.Values`."""
     n, count, h = run.model.n, len(run), run.scenario.time.step
-    tally, values = Tally(np.zeros(Tally.count(n)), n), Values(np.zeros(Values.count(n)), n)
-    limits = JointLimits(joint_limits(run.model), n)
-    interpreted(begin_tally)(tally, h, float(np.max(np.abs(run.reference_force))))
-    Scale(tally.scale).start_energy = run.kinetic_energy[0] + run.potential_energy[0]
-    Scale(tally.scale).start_supplied = run.energy_supplied[0]
-    memory, signals = np.empty((Sample.count(n), min(ROWS, count))), np.empty((1 + n, 0))
+    tally, values = (
+        of_rows.Tally(np.zeros(of_rows.Tally.count(n)), n),
+        of_rows.Values(np.zeros(of_rows.Values.count(n)), n),
+    )
+    limits = of_rows.JointLimits(of_rows.joint_limits(run.model), n)
+    interpreted(of_rows.begin_tally)(tally, h, float(np.max(np.abs(run.reference_force))))
+    of_rows.Scale(tally.scale).start_energy = run.kinetic_energy[0] + run.potential_energy[0]
+    of_rows.Scale(tally.scale).start_supplied = run.energy_supplied[0]
+    memory, signals = np.empty((of_rows.Sample.count(n), min(ROWS, count))), np.empty((1 + n, 0))
     for rows in (slice(begin, min(begin + ROWS, count)) for begin in range(0, count, ROWS)):
-        sample = Sample(memory[:, : rows.stop - rows.start], n)
+        sample = of_rows.Sample(memory[:, : rows.stop - rows.start], n)
         wanted = SimpleNamespace(position=run.reference_tip[rows].T, force=run.reference_force[rows])
         row, potential = columns_of(run, rows), run.potential_energy[rows]
-        interpreted(sample_row)(row, n, potential, wanted, limits, Scale(tally.scale), sample)
+        interpreted(of_rows.sample_row)(row, n, potential, wanted, limits, of_rows.Scale(tally.scale), sample)
         if rows.start == 0:
-            tally.start_error = float(memory[Sample.place("contact_error", n), 0])
+            tally.start_error = float(memory[of_rows.Sample.place("contact_error", n), 0])
             tally.powers_before[:] = sample.powers[:, 0]
         _count_rows(run.time[max(rows.start - 1, 0) : rows.stop], rows.start, sample, tally)
-        signals = np.hstack([signals[:, 1 - SPAN :], sample.signals])
-        tally.signals[:, -1] += alternation(signals.T)
+        signals = np.hstack([signals[:, 1 - of_rows.SPAN :], sample.signals])
+        tally.signals[:, -1] += of_rows.alternation(signals.T)
     tally.condition = np.max(run.kkt_condition)
     last = SimpleNamespace(**{name: getattr(run, name)[-1] for name in _LAST})
-    interpreted(write_values)(last, n, count, tally, values)
+    interpreted(of_rows.write_values)(last, n, count, tally, values)
     if "torque_limited" in run.columns:
-        count_limited(run.torque_limited, h, values)
+        of_numbers.count_limited(run.torque_limited, h, values)
     values.energy_lost_in_impacts = np.sum(run.event_energy_lost)
     values.energy_taken_at_rest = np.sum(run.event_energy_rested)
     if run.scenario.contact:
@@ -201,7 +175,7 @@ def run_values(run: Record) -> Any:
     return values
 
 
-def _count_rows(time: Array, begin: int, sample: Sample, tally: Tally) -> None:
+def _count_rows(time: Array, begin: int, sample: of_rows.Sample, tally: of_rows.Tally) -> None:
     """Count in the rows from row `begin` on; `time` is theirs and, unless it is the first, the one's before."""
     np.maximum(tally.greatest, np.max(sample.greatest, axis=1), out=tally.greatest)
     lowest = np.minimum(np.minimum.accumulate(sample.energy), tally.lowest_energy)
@@ -218,7 +192,7 @@ def _count_rows(time: Array, begin: int, sample: Sample, tally: Tally) -> None:
     enters = np.flatnonzero((excess[1:] <= 0.0) & (excess[:-1] > 0.0))
     if enters.size:
         at = enters[-1]
-        tally.settled = begin + at - 1.0 + interpreted(share_inside)(excess[at], excess[at + 1])
+        tally.settled = begin + at - 1.0 + interpreted(of_rows.share_inside)(excess[at], excess[at + 1])
     unsettled = np.flatnonzero(excess[1:] > 0.0)
     if unsettled.size:
         tally.last_unsettled = begin + unsettled[-1]
@@ -240,10 +214,10 @@ def assumptions(run: Record, measures: Mapping[str, float | None]) -> dict[str, 
       the same residual.
     - ``nonsingular``: the tip can move along the normal (`NEAR_SINGULAR`).
     """
-    outside = outside_by_the_scenario(run.scenario, run.model)
+    outside = of_numbers.outside_by_the_scenario(run.scenario, run.model)
     if len(run) == 0:
         missing = {"held": None, "first_failed": 0.0, "measured": "no row could be computed"}
-        return {name: missing | {"expected": name not in outside} for name in NAMES}
+        return {name: missing | {"expected": name not in outside} for name in of_rows.NAMES}
     motion = float(np.max(run.residual_motion))
     # the row at which the tip moves least along the normal; the middle of those of a pose that it passes
     stiffest = int(np.argmin(run.normal_mobility))
@@ -258,8 +232,8 @@ def assumptions(run: Record, measures: Mapping[str, float | None]) -> dict[str, 
         _friction(friction, in_joints) or only_contact,
         f"mobility ≥ {run.normal_mobility[stiffest]:.2g}, cond. ≤ {np.max(run.kkt_condition):.2g}",
     )
-    met = interpreted(assumptions_met)(run, friction, in_joints)
-    report = {name: _judge(run, *verdict) for name, *verdict in zip(NAMES, met, measured, strict=True)}
+    met = interpreted(of_rows.assumptions_met)(run, friction, in_joints)
+    report = {name: _judge(run, *verdict) for name, *verdict in zip(of_rows.NAMES, met, measured, strict=True)}
     if run.stopped and "singular" in run.stopped:
         verdict = report["nonsingular"]
         if verdict["held"]:  # no row was near it: the step after the last was
@@ -285,7 +259,7 @@ def assumptions(run: Record, measures: Mapping[str, float | None]) -> dict[str, 
             said = said if before["held"] else f"{before['measured']}; {said}"
             report["frictionless"] = {"held": False, "first_failed": first, "measured": said}
             outside |= {"frictionless"}
-    if passed := outside_by_the_run(measures, run.stopped):
+    if passed := of_numbers.outside_by_the_run(measures, run.stopped):
         verdict = report["nonsingular"]
         verdict["measured"] = f"passed at t = {run.time[stiffest]:.4g} s; {verdict['measured']}"
         outside |= passed
@@ -338,18 +312,18 @@ def summarise(run: Record) -> dict[str, Any]:
     Quantities that do not exist (no rows) are None. So is a value that is no finite number; `not_finite` names it.
     """
     found = run_values(run) if len(run) else None
-    values: dict[str, Any] = dict.fromkeys(MEASURES) if found is None else _measures(run, found)
-    joints = {name: getattr(found, name, np.full(run.model.n, np.nan)) for name in JOINT_MEASURES}
+    values: dict[str, Any] = dict.fromkeys(of_rows.MEASURES) if found is None else _measures(run, found)
+    joints = {name: getattr(found, name, np.full(run.model.n, np.nan)) for name in of_rows.JOINT_MEASURES}
     held = assumptions(run, values)
     failed = {
         name: (v["first_failed"], v["measured"]) for name, v in held.items() if v["held"] is False and v["expected"]
     }
     columns = {name: column.tolist() for name, column in joints.items()}
-    facts = Facts(
+    facts = of_numbers.Facts(
         run.scenario, run.model, run.stopped, len(run) - 1, values, len(run.events), failed, columns, _unresolved(run),
         run.halved, run.scenario.is_passive and run.law == "scenario",
     )  # fmt: skip
-    problems, near = judge(facts, lambda: run_gains_fault(run)), clearance(run)
+    problems, near = of_numbers.judge(facts, lambda: run_gains_fault(run)), clearance(run)
     limited = limited_joints(run.model.joint_names, joints["torque_limited_share"], joints["torque_limited_at"])
     of_control, not_known = judge_control(run_signals(run), limited, run.stopped)
     return {
@@ -367,9 +341,9 @@ def summarise(run: Record) -> dict[str, Any]:
         "halved": None if run.halved is None else dict(run.halved),
         "wrist": _wrist(run),
         "tool": _tool(run),
-        "force_not_determined_from": not_determined_from(run),
-        "friction_off_slip": friction_off_slip(run),
-        "motions_without_drive": motions_without_drive(run),
+        "force_not_determined_from": of_numbers.not_determined_from(run),
+        "friction_off_slip": of_numbers.friction_off_slip(run),
+        "motions_without_drive": of_numbers.motions_without_drive(run),
         "clearance": None if near is None else {**near._asdict(), "between": list(near.between)},
         "events": {kind: sum(event.kind == kind for event in run.events) for kind in KINDS.values()},
         "assumptions": held,
@@ -436,7 +410,7 @@ def run_gains_fault(run: Record) -> str:
 def joint_measures(run: Record) -> dict[str, Array]:
     """Return `JOINT_MEASURES`, each (n,); an instant is NaN where there is none. Without rows nothing exists: NaN."""
     values = run_values(run) if len(run) else None
-    return {name: getattr(values, name, np.full(run.model.n, np.nan)) for name in JOINT_MEASURES}
+    return {name: getattr(values, name, np.full(run.model.n, np.nan)) for name in of_rows.JOINT_MEASURES}
 
 
 def _exists(value: float | None) -> bool:
@@ -446,12 +420,12 @@ def _exists(value: float | None) -> bool:
 
 def _measures(run: Record, values: Any) -> dict[str, float | None]:
     """Return `MEASURES`; None is what does not exist, and a number that is not finite what overflowed."""
-    found: dict[str, float | None] = {name: float(getattr(values, name)) for name in MEASURES}
+    found: dict[str, float | None] = {name: float(getattr(values, name)) for name in of_rows.MEASURES}
     if np.all(run.mode == FREE):
         found["rms_force_error"] = None
     if np.isnan(values.force_settled_at):
         found["force_settled_at"] = None
-    return found | dict.fromkeys(absent_measures(run.scenario, run.law != "scenario"))
+    return found | dict.fromkeys(of_rows.absent_measures(run.scenario, run.law != "scenario"))
 
 
 def energy_balance(run: Record) -> tuple[Array, Array]:
@@ -463,8 +437,8 @@ def energy_balance(run: Record) -> tuple[Array, Array]:
     integrator's order says. The energy exchanged is ∫ |Qᵀq̇| dt, by the trapezoidal rule over the rows: what the
     residual is small or large against.
     """
-    row, n, scale = columns_of(run), run.model.n, Scale(np.zeros(Scale.count()))
+    row, n, scale = columns_of(run), run.model.n, of_rows.Scale(np.zeros(of_rows.Scale.count()))
     scale.start_energy, scale.start_supplied = run.kinetic_energy[0] + run.potential_energy[0], run.energy_supplied[0]
-    left = interpreted(energy_left)(row, run.potential_energy, scale)
-    power = np.abs(interpreted(torque_power)(row, n))
+    left = interpreted(of_rows.energy_left)(row, run.potential_energy, scale)
+    power = np.abs(interpreted(of_rows.torque_power)(row, n))
     return left, np.concatenate([[0.0], np.cumsum(0.5 * (power[1:] + power[:-1]) * np.diff(run.time))])

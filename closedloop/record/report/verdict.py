@@ -39,15 +39,7 @@ from closedloop.mechanics.integrators import ADAPTIVE, scheme_of
 from closedloop.mechanics.loops.reactions import torque_of_drives
 from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.record.columns.record import Record
-from closedloop.record.report.measures import (
-    EVENTS_AT,
-    FAILED_AT,
-    JOINT_MEASURES,
-    MEASURES,
-    NAMES,
-    WIDTH,
-    absent_measures,
-)
+from closedloop.record.report import measures as of_rows
 from closedloop.scenario.arm import joint_friction_of, robot_of
 from closedloop.scenario.modes import gains_fault
 from closedloop.scenario.scenario import Scenario
@@ -411,25 +403,28 @@ def verdict_of(
     `swings` are what `closedloop.scenario.modes.unresolved` and `unresolved_feedback` say.
     """
     numbers, n = values.tolist(), robot.n
-    measures = dict(zip(MEASURES, numbers[:EVENTS_AT], strict=True))
+    measures = dict(zip(of_rows.MEASURES, numbers[: of_rows.EVENTS_AT], strict=True))
     outside = outside_by_the_scenario(scenario, robot.model) | outside_by_the_run(measures, stopped)
     failed = {
         name: (at, "")
-        for name, at in zip(NAMES, numbers[FAILED_AT:WIDTH], strict=True)
+        for name, at in zip(of_rows.NAMES, numbers[of_rows.FAILED_AT : of_rows.WIDTH], strict=True)
         if not math.isnan(at) and name not in outside
     }
+    start = of_rows.WIDTH
+    joints = {name: numbers[start + n * m : start + n * (m + 1)] for m, name in enumerate(of_rows.JOINT_MEASURES)}
     facts = Facts(
         scenario, robot.model, stopped, steps, measures,
-        0 if steps < 0 else int(sum(numbers[EVENTS_AT:FAILED_AT])), failed,
-        {name: numbers[WIDTH + n * m : WIDTH + n * (m + 1)] for m, name in enumerate(JOINT_MEASURES)},
-        swings, passive=scenario.is_passive and not own_law,
+        0 if steps < 0 else int(sum(numbers[of_rows.EVENTS_AT:of_rows.FAILED_AT])), failed,
+        joints, swings, passive=scenario.is_passive and not own_law,
     )  # fmt: skip
     return names_of(judge(facts, lambda: gains_fault(scenario, robot)))
 
 
 # Of what a bound is a share of, or is added to, the least is the worst, of some in size; of instants the first.
-_LEAST = [list(MEASURES).index(name) for name in ("energy_exchanged", "max_kinetic_energy", "singular_pose_passed")]
-_LEAST_IN_SIZE = [list(MEASURES).index(name) for name in ("energy_lost_to_friction", "start_closure_error")]
+_LEAST = [
+    list(of_rows.MEASURES).index(name) for name in ("energy_exchanged", "max_kinetic_energy", "singular_pose_passed")
+]
+_LEAST_IN_SIZE = [list(of_rows.MEASURES).index(name) for name in ("energy_lost_to_friction", "start_closure_error")]
 
 
 def verdicts_of(
@@ -439,13 +434,13 @@ def verdicts_of(
 
     Where nothing is wrong with a run that is as bad in everything as the worst of them, each is good.
     """
-    first, n, events = scenarios[0], robot.n, values[:, EVENTS_AT:FAILED_AT].any(axis=1)
+    first, n, events = scenarios[0], robot.n, values[:, of_rows.EVENTS_AT : of_rows.FAILED_AT].any(axis=1)
     if not any(swings) and events.all() == events.any() and all(s.surface is first.surface for s in scenarios):
-        worst, names = values.max(axis=0), list(JOINT_MEASURES)
+        worst, names = values.max(axis=0), list(of_rows.JOINT_MEASURES)
         worst[_LEAST] = values[:, _LEAST].min(axis=0)
         worst[_LEAST_IN_SIZE] = np.abs(values[:, _LEAST_IN_SIZE]).min(axis=0)
-        instants = [WIDTH + n * m + j for m, name in enumerate(names) if name.endswith("_at") for j in range(n)]
-        instants += range(FAILED_AT, WIDTH)
+        instants = [of_rows.WIDTH + n * m + j for m, name in enumerate(names) if name.endswith("_at") for j in range(n)]
+        instants += range(of_rows.FAILED_AT, of_rows.WIDTH)
         worst[instants] = np.fmin.reduce(values[:, instants], axis=0)
         if verdict_of(first, robot, worst, steps) == GOOD:
             return [GOOD] * len(scenarios)
@@ -457,5 +452,5 @@ def verdicts_of(
 
 def forget_absent(scenario: Scenario, values: Array, own_law: bool = False) -> None:
     """Write NaN for the measures that do not exist into the values (..., W) of runs."""
-    absent = {*absent_measures(scenario, own_law)}
-    values[..., [at for at, name in enumerate(MEASURES) if name in absent]] = math.nan
+    absent = {*of_rows.absent_measures(scenario, own_law)}
+    values[..., [at for at, name in enumerate(of_rows.MEASURES) if name in absent]] = math.nan

@@ -42,17 +42,7 @@ from closedloop.scenario.scenario import Scenario
 from closedloop.simulation.engines.problem import Problem
 from closedloop.simulation.parts import Cache
 from closedloop.simulation.prepare import prepare
-from closedloop.studies.analysis.here import (
-    EventHere,
-    Here,
-    Instant,
-    independent,
-    parts_of,
-    refuse_outside,
-    row_at,
-    run_to,
-    without_event,
-)
+from closedloop.studies.analysis import here as instants
 from closedloop.studies.analysis.linear_loop import OUTSIDE, LinearLoop, Quantity
 from robot_models import RobotModel
 
@@ -63,7 +53,7 @@ KINK, NEAR = 1e-2, 1e-6
 MOST = 7
 
 
-def columns(here: Here, name: str, steps: Array, held: bool) -> dict[str, Array]:
+def columns(here: instants.Here, name: str, steps: Array, held: bool) -> dict[str, Array]:
     """Return the derivatives of all that `Here` evaluates by the numbers of a change, matrices (rows, k); see
     `Here.flat`.
 
@@ -86,7 +76,7 @@ def columns(here: Here, name: str, steps: Array, held: bool) -> dict[str, Array]
     for _ in range(MOST):
         ends, tried = [], []
         for j in left.tolist():
-            with suppress(EventHere):
+            with suppress(instants.EventHere):
                 ends.append([at(j, share * step[j]) for share in (1.0, -1.0, 0.5, -0.5)])
                 tried.append(j)
         if tried:
@@ -100,11 +90,11 @@ def columns(here: Here, name: str, steps: Array, held: bool) -> dict[str, Array]
             break
         step[left] *= 0.1
     if np.any(least > KINK):
-        raise EventHere
+        raise instants.EventHere
     return {key: best[:, where].T for key, where in here.places.items()}
 
 
-def _apart(here: Here, value: Array, wide: Array, near: Array, step: Array) -> Array:
+def _apart(here: instants.Here, value: Array, wide: Array, near: Array, step: Array) -> Array:
     """Return how far two differences (k, ...) are apart, (k,): the most of all that is evaluated, each by its size.
 
     `value`: without a change, whose size decides what is rounding; `step` (k, 1): of the wide ones.
@@ -128,9 +118,9 @@ STEP_Q, STEP_V, STEP_FORCE, STEP_TORQUE = 1e-4, 1e-3, 1e-2, 1e-2
 class Reduced:
     """The derivatives at an instant by the free coordinates and the inputs; `free`: whether it may be in flight."""
 
-    def __init__(self, problem: Problem, instant: Instant, free: bool) -> None:
+    def __init__(self, problem: Problem, instant: instants.Instant, free: bool) -> None:
         self.problem, self.instant, self.n = problem, instant, problem.robot.n
-        self.here = here = Here(problem, instant, free)
+        self.here = here = instants.Here(problem, instant, free)
         here.held = here()["torque"]  # which acts from this row on: before it that of the last sample did
         self.state, self.decays = here.loop.state, np.array(here.loop.w.decays.rate)
         limited = np.flatnonzero(here.loop.w.drives.limited != AS_ASKED)
@@ -143,7 +133,7 @@ class Reduced:
         self.soft = problem.compliance.member is not Rigid and instant.mode != FREE
         self.rigid = problem.compliance.member is Rigid and instant.mode != FREE
         self.sampled = problem.hold > 0
-        self.parts = parts_of(problem)
+        self.parts = instants.parts_of(problem)
         self._coordinates()
         self._differentiate()
 
@@ -159,9 +149,9 @@ class Reduced:
         others = [self.here.loop_rows(self.instant.values["q"])[0]]
         if self.here.contacts is not None:
             others.append(self.here.contacts.rows())
-        self.spans = independent(np.vstack(others))
+        self.spans = instants.independent(np.vstack(others))
         self.H, self.along, self.G = H, A[0], np.vstack([contact, self.spans @ np.vstack(others)])
-        if independent(self.G).shape[0] < self.G.shape[0]:
+        if instants.independent(self.G).shape[0] < self.G.shape[0]:
             raise SimulationError(
                 "linearise: the tip's contact binds what other contacts or loops bind already at "
                 f"t = {self.instant.time:g} s, so that f is not unique; take another instant",
@@ -595,14 +585,14 @@ def linearise(
         At an event, in flight, if a drive is at its limit or a joint at its stop, or if the run stops before.
     """
     at = 0.5 * scenario.time.duration if at is None else at
-    refuse_outside(scenario, at)  # before the path is made, which takes a while
+    instants.refuse_outside(scenario, at)  # before the path is made, which takes a while
     problem = prepare(scenario, model, cache)
     return loop_at(problem, instant_of(problem, at, model))
 
 
-def instant_of(problem: Problem, at: float, model: RobotModel | None = None) -> Instant:
+def instant_of(problem: Problem, at: float, model: RobotModel | None = None) -> instants.Instant:
     """Return the state of a run at an instant; with an integrator that chooses its steps, by rk4."""
-    return run_to(of_fixed_steps(problem, model), row_at(problem, at))
+    return instants.run_to(of_fixed_steps(problem, model), instants.row_at(problem, at))
 
 
 def of_fixed_steps(problem: Problem, model: RobotModel | None = None, cache: Cache | None = None) -> Problem:
@@ -619,7 +609,7 @@ def of_fixed_steps(problem: Problem, model: RobotModel | None = None, cache: Cac
     return prepare(fixed, model, cache)
 
 
-def loop_at(problem: Problem, instant: Instant, free: bool = False) -> LinearLoop:
+def loop_at(problem: Problem, instant: instants.Instant, free: bool = False) -> LinearLoop:
     """Return the loop at an instant, which may be of a run with other gains; with `free` in flight that of motion."""
-    with without_event(instant.time):
+    with instants.without_event(instant.time):
         return assembled(Reduced(problem, instant, free))

@@ -23,16 +23,8 @@ from closedloop.base.arrays import Array
 from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.record.report.control_verdict import rms
 from closedloop.record.run import Run
-from closedloop.studies.identify.motion import (
-    Log,
-    LogError,
-    check_motion,
-    check_positions,
-    check_time,
-    check_torques,
-    usual_cutoff,
-)
-from closedloop.studies.identify.read import columns_named, factors_of, joints_of, listed, run_of, table_of, time_of
+from closedloop.studies.identify import motion as logs
+from closedloop.studies.identify.read import columns_named, factors_of, listed, read_joints, run_of
 from robot_models import RobotModel
 
 # A hypothesis is added while it explains this share of what is left, and so much of the whole.
@@ -245,7 +237,7 @@ class Recording:
     def positions(self) -> Array:
         """Joint positions q (N, n); LogError if the recording has none."""
         if self.q is None:
-            raise LogError(f"{self.source}: has no joint positions q: the force of the torques is not known")
+            raise logs.LogError(f"{self.source}: has no joint positions q: the force of the torques is not known")
         return self.q
 
     @property
@@ -269,33 +261,31 @@ def read_recording(
     Of "force" there may be one name, or three with commas between.
     Raises LogError if the file cannot be read, a column is missing, a value is not finite, or time jumps.
     """
-    path, given, factors = Path(path), dict(columns or {}), factors_of(gain)
+    path, given = Path(path), dict(columns or {})
+    factors_of(gain)  # whatever the file is
     if unknown := set(given) - {"time", "q", "torque", "force", "speed"}:
-        raise LogError(f"--columns {sorted(unknown)[0]}: is none of time, q, torque, force, speed")
+        raise logs.LogError(f"--columns {sorted(unknown)[0]}: is none of time, q, torque, force, speed")
     if path.suffix.lower() == ".nc" and not given:
         run = run_of(path)
         if run is not None:
             if run.model.joint_names != robot.joint_names:
-                raise LogError(
+                raise logs.LogError(
                     f"{path}: its joints are {', '.join(run.model.joint_names)}: those of the scenario's robot are "
                     f"{', '.join(robot.joint_names)}"
                 )
             return checked(of_run(run, str(path)), robot)
-    table = table_of(path)
-    time = time_of(table, given.get("time"), path)
-    q, v = (joints_of(table, what, given, robot, path, degrees) for what in ("q", "v"))
-    torque = joints_of(table, "torque", given, robot, path, currents=gain is not None)
+    table, time, q, v, torque = read_joints(path, robot, given, degrees, gain)
     if q is not None:
-        check_positions(q, robot, str(path))
+        logs.check_positions(q, robot, str(path))
     forces = [[form.format(axis) for axis in axes] for form, axes in FORCES] + [[name] for name in FORCE]
     force = _found(table, "force", forces, given.pop("force", None), path)
     speed = _found(table, "speed", [[name] for name in SPEED], given.pop("speed", None), path)
     if q is None and force is None and speed is None:
-        raise LogError(
+        raise logs.LogError(
             f"{path}: no columns for q of the joints {', '.join(robot.joint_names)}, for force or for speed: name "
             f"them, as in --columns q='q_{{}}'; it has {listed(table)}"
         )
-    return checked(Recording(time, q, None if torque is None else torque * factors, force, str(path), v, speed), robot)
+    return checked(Recording(time, q, torque, force, str(path), v, speed), robot)
 
 
 def _found(table: dict[str, Array], what: str, usual: list[list[str]], asked: str | None, path: Path) -> Array | None:
@@ -308,7 +298,7 @@ def _found(table: dict[str, Array], what: str, usual: list[list[str]], asked: st
     if asked:
         missing = next((name for name in named if columns_named(table, [name], what, path) is None), None)
         reason = f"no column {missing!r}" if missing else f"{len(named)} names: one, or three"
-        raise LogError(f"{path}: --columns {what}={asked}: {reason}; it has {listed(table)}")
+        raise logs.LogError(f"{path}: --columns {what}={asked}: {reason}; it has {listed(table)}")
     return None
 
 
@@ -317,7 +307,7 @@ def checked(recording: Recording, robot: RobotModel) -> Recording:
     where, time = recording.source, np.asarray(recording.time, dtype=np.float64)
     N = len(time)
     if N < FEWEST:
-        raise LogError(f"{where}: {N} rows: a comparison needs at least {FEWEST}")
+        raise logs.LogError(f"{where}: {N} rows: a comparison needs at least {FEWEST}")
     for name, x, shapes in (
         ("time", time, [(N,)]),
         ("q", recording.q, [(N, robot.n)]),
@@ -329,17 +319,17 @@ def checked(recording: Recording, robot: RobotModel) -> Recording:
         if x is None:
             continue
         if np.shape(x) not in shapes:
-            raise LogError(f"{where}: {name} has shape {np.shape(x)}: must be {' or '.join(map(str, shapes))}")
+            raise logs.LogError(f"{where}: {name} has shape {np.shape(x)}: must be {' or '.join(map(str, shapes))}")
         if not np.isfinite(x).all():
-            raise LogError(f"{where}: {name} in row {int(np.argwhere(~np.isfinite(x))[0][0])} is not finite")
-    step = check_time(time, where)
+            raise logs.LogError(f"{where}: {name} in row {int(np.argwhere(~np.isfinite(x))[0][0])} is not finite")
+    step = logs.check_time(time, where)
     if recording.q is None:
         if recording.force is None and recording.speed is None:
-            raise LogError(f"{where}: has neither q nor force nor speed: there is nothing to compare")
+            raise logs.LogError(f"{where}: has neither q nor force nor speed: there is nothing to compare")
         return recording
-    check_motion(recording.q, recording.v, step, robot, where)
+    logs.check_motion(recording.q, recording.v, step, robot, where)
     if recording.torque is not None:
-        check_torques(recording.q, recording.torque, robot, where)
+        logs.check_torques(recording.q, recording.torque, robot, where)
     return recording
 
 
@@ -399,7 +389,7 @@ READINGS = (
 AXES = ("along x of the base", "along y of the base", "along z of the base")
 
 
-class NothingLeftError(LogError):
+class NothingLeftError(logs.LogError):
     """Every row of a recording is near an impact, or near its ends."""
 
 
@@ -441,11 +431,13 @@ def expected_force(
     torque, force = recording.torque, recording.force
     if torque is None or force is None:
         missing = "torque" if torque is None else "force"
-        raise LogError(f"{recording.source}: has no {missing}: the meaning of its force cannot be determined")
+        raise logs.LogError(f"{recording.source}: has no {missing}: the meaning of its force cannot be determined")
     step, N = recording.step, len(recording.time)
-    cutoff = usual_cutoff(Log(recording.time, recording.positions, torque)) if cutoff is None else cutoff
+    cutoff = logs.usual_cutoff(logs.Log(recording.time, recording.positions, torque)) if cutoff is None else cutoff
     if not 0.0 < cutoff < 0.5 / step:
-        raise LogError(f"cutoff is {cutoff:.6g} Hz: it must be above 0 and below half the rate, {0.5 / step:.6g} Hz")
+        raise logs.LogError(
+            f"cutoff is {cutoff:.6g} Hz: it must be above 0 and below half the rate, {0.5 / step:.6g} Hz"
+        )
     low_pass = signal.butter(4, 2.0 * cutoff * step, output="sos")
     edge = min(round(EDGE / (cutoff * step)), N // 4)
     q, Q, f = (signal.sosfiltfilt(low_pass, x, axis=0) for x in (recording.positions, torque, force))

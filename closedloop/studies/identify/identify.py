@@ -14,22 +14,9 @@ from closedloop.base.arguments import arguments_checked
 from closedloop.base.arrays import Array, plain
 from closedloop.base.errors import ModelError
 from closedloop.record.run import Run
+from closedloop.studies.identify import regressor as equations
 from closedloop.studies.identify.motion import Log, Motion, checked, joined, motion, usual_cutoff
 from closedloop.studies.identify.read import log_of_run
-from closedloop.studies.identify.regressor import (
-    BOUNDED,
-    FRICTION,
-    LOAD,
-    REST,
-    BaseParameters,
-    Columns,
-    Fit,
-    Regressor,
-    Terms,
-    base_parameters,
-    fit,
-    whiteness,
-)
 
 if TYPE_CHECKING:
     from os import PathLike
@@ -43,7 +30,7 @@ STRIBECK_SPEEDS = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5)
 # Windows in which a joint has to move for its torques to count at all: fewer tell its noise no more than its friction.
 FEWEST = 20
 # Parameters of a joint that act on its own torque alone.
-OWN = (*FRICTION, LOAD, "stribeck", "drive_inertia")
+OWN = (*equations.FRICTION, equations.LOAD, "stribeck", "drive_inertia")
 # The Stribeck term of a log, per unit of its coefficient, is below this at most: it was not excited.
 LEAST_STRIBECK = 0.1
 # Pieces of a log, a share of each of which is held out.
@@ -88,9 +75,9 @@ class Identification:
     """
 
     robot: RobotModel
-    regressor: Regressor
-    base: BaseParameters
-    solution: Fit
+    regressor: equations.Regressor
+    base: equations.BaseParameters
+    solution: equations.Fit
     motion: Motion
     used: NDArray[np.bool_]
     tested: NDArray[np.bool_]
@@ -140,7 +127,7 @@ class Identification:
     def not_physical(self) -> tuple[Estimate, ...]:
         """What dissipates or stores energy, and is surely below zero, even if a torque as the residual is missing."""
         told = zip(self.estimates, self.solution.lacking, strict=True)
-        bounded = ((e, lacking) for e, lacking in told if e.name.startswith(BOUNDED) and e.name == e.grouping)
+        bounded = ((e, lacking) for e, lacking in told if e.name.startswith(equations.BOUNDED) and e.name == e.grouping)
         return tuple(e for e, lacking in bounded if max(e.high, e.value + lacking) < 0.0)
 
     @property
@@ -151,7 +138,7 @@ class Identification:
     @property
     def whiteness(self) -> Array:
         """Probability, (n,), that a white residual is as correlated as this one (Ljung and Box)."""
-        return whiteness(self.solution.residual, self.used)
+        return equations.whiteness(self.solution.residual, self.used)
 
     @property
     def above_noise(self) -> Array:
@@ -189,8 +176,8 @@ class Identification:
 @arguments_checked()
 def identify(
     log: Log | Run | Sequence[Log | Run], robot: RobotModel | str | PathLike[str], *,
-    friction: Sequence[str] = FRICTION, drive_inertia: bool = True, coupled: Sequence[tuple[str, str]] = (),
-    stribeck_speed: float | Sequence[float] | str | None = None, extra: Mapping[str, Columns] | None = None,
+    friction: Sequence[str] = equations.FRICTION, drive_inertia: bool = True, coupled: Sequence[tuple[str, str]] = (),
+    stribeck_speed: float | Sequence[float] | str | None = None, extra: Mapping[str, equations.Columns] | None = None,
     slow: float = 0.01, cutoff: float | None = None, held_out: float = 0.25, test: Log | None = None,
     method: str = "ls", confidence: float = 0.95,
 ) -> Identification:  # fmt: skip
@@ -252,19 +239,19 @@ def identify(
     speeds = (
         None if stribeck_speed is None or isinstance(stribeck_speed, str) else np.asarray(stribeck_speed, dtype=float)
     )
-    terms = Terms(tuple(friction), drive_inertia, tuple(coupled), speeds, slow, dict(extra or {}))
+    terms = equations.Terms(tuple(friction), drive_inertia, tuple(coupled), speeds, slow, dict(extra or {}))
     if isinstance(stribeck_speed, str):
         terms = replace(terms, stribeck_speed=_fitted_speeds(model, terms, x))
-    regressor = Regressor(model, terms)
-    base = base_parameters(regressor)
+    regressor = equations.Regressor(model, terms)
+    base = equations.base_parameters(regressor)
     used = _counted(regressor, x)
     W, seen = _columns(regressor, base, x, used)
-    found = fit(W, x.torque, used, least=x.torque_noise, seen=seen)
+    found = equations.fit(W, x.torque, used, least=x.torque_noise, seen=seen)
     bias = np.full(len(base.kept), np.nan)
     if method == "iv":
         halves = [joined([motion(one, cutoff, k) for one in logs]) for k in (0, 1)]
         even, odd = (regressor.averaged(half)[:, :, base.kept] for half in halves)
-        better = fit(even, x.torque, used, odd, found.told, x.torque_noise)
+        better = equations.fit(even, x.torque, used, odd, found.told, x.torque_noise)
         bias = found.value - better.value
         found = replace(better, alike=found.alike)
     z = float(stats.norm.ppf(0.5 + 0.5 * confidence))
@@ -272,7 +259,7 @@ def identify(
         tested = _pieces(len(x.time), held_out)
         kept = ~tested
         fitted = (W[kept], x.torque[kept], used[kept])
-        part = fit(*fitted, least=x.torque_noise, seen=seen[kept]) if tested.any() else found
+        part = equations.fit(*fitted, least=x.torque_noise, seen=seen[kept]) if tested.any() else found
         judged, V, sure = x.torque[tested], W[tested], used[tested]
     else:
         y = motion(checked(test, model), cutoff)
@@ -292,16 +279,16 @@ def identify(
     )  # fmt: skip
 
 
-def _fitted_speeds(robot: RobotModel, terms: Terms, x: Motion) -> Array:
+def _fitted_speeds(robot: RobotModel, terms: equations.Terms, x: Motion) -> Array:
     """Return v_s of each joint, (n,): that of `STRIBECK_SPEEDS` that leaves least of its torque, all joints alike."""
     left = []
     highest = np.abs(x.v).max(axis=0)
     for speed in STRIBECK_SPEEDS:
-        regressor = Regressor(robot, replace(terms, stribeck_speed=np.full(robot.n, speed)))
-        base = base_parameters(regressor)
+        regressor = equations.Regressor(robot, replace(terms, stribeck_speed=np.full(robot.n, speed)))
+        base = equations.base_parameters(regressor)
         used = _counted(regressor, x)
         W, seen = _columns(regressor, base, x, used)
-        sigma = fit(W, x.torque, used, least=x.torque_noise, seen=seen).sigma
+        sigma = equations.fit(W, x.torque, used, least=x.torque_noise, seen=seen).sigma
         left.append(np.where(speed < 0.25 * highest, sigma, np.inf))  # more of the curve is the viscous term's
     return np.asarray(np.array(STRIBECK_SPEEDS)[np.argmin(left, axis=0)])
 
@@ -319,13 +306,15 @@ def _check(robot: RobotModel, method: str, held_out: float, confidence: float, s
         raise ModelError(f"slow is {slow!r}: it must be from 0 to below 1")
 
 
-def _counted(regressor: Regressor, x: Motion) -> NDArray[np.bool_]:
+def _counted(regressor: equations.Regressor, x: Motion) -> NDArray[np.bool_]:
     """Return (R, n) which torques count: those of a joint that moves for long, where its friction has one sure sign."""
     used = regressor.certain(x)
     return np.asarray(used & (used.sum(axis=0) >= FEWEST))
 
 
-def _columns(regressor: Regressor, base: BaseParameters, x: Motion, used: NDArray[np.bool_]) -> tuple[Array, Array]:
+def _columns(
+    regressor: equations.Regressor, base: equations.BaseParameters, x: Motion, used: NDArray[np.bool_]
+) -> tuple[Array, Array]:
     """Return W (R, n, b), and what of it was excited: where joints rest, noise moves them.
 
     The second is without columns, and small Stribeck terms, that the least stroke of such a joint makes as large.
@@ -334,7 +323,7 @@ def _columns(regressor: Regressor, base: BaseParameters, x: Motion, used: NDArra
     rests, seen = np.asarray(~used.any(axis=0)), W.copy()
     if rests.any():
         still = replace(x, v=np.where(rests, 0.0, x.v), a=np.where(rests, 0.0, x.a))
-        places = (np.where(rests, x.q.mean(axis=0) + side, x.q) for side in (0.0, REST))
+        places = (np.where(rests, x.q.mean(axis=0) + side, x.q) for side in (0.0, equations.REST))
         seen, beside = (regressor.averaged(replace(still, q=q))[:, :, base.kept] for q in places)
         size, change = (np.einsum("tjk,tjk,tj->k", y, y, used) for y in (seen, seen - beside))
         seen[:, :, change > size] = 0.0
@@ -358,7 +347,13 @@ def _relative(error: Array, torque: Array, used: NDArray[np.bool_]) -> Array:
     return np.asarray(np.sqrt((error**2 * used).sum(axis=0) / np.where(size > 0.0, size, np.nan)))
 
 
-def _reason(k: int, found: Fit, base: BaseParameters, regressor: Regressor, used: NDArray[np.bool_]) -> str:
+def _reason(
+    k: int,
+    found: equations.Fit,
+    base: equations.BaseParameters,
+    regressor: equations.Regressor,
+    used: NDArray[np.bool_],
+) -> str:
     name = regressor.names[base.kept[k]]
     joints = regressor.robot.joint_names
     joint = max((each for each in joints if name.endswith(f"_{each}")), key=len, default="")
@@ -375,7 +370,7 @@ def _reason(k: int, found: Fit, base: BaseParameters, regressor: Regressor, used
         "viscous": f"move {joint} at several speeds",
         "dry": f"move {joint} both ways at several speeds",
         "offset": f"move {joint} both ways",
-        LOAD: f"move {joint} under loads that differ, as with a payload and without",
+        equations.LOAD: f"move {joint} under loads that differ, as with a payload and without",
         "drive_inertia": f"accelerate {joint} more, in several postures",
         "stribeck": f"move {joint} slowly, below the Stribeck speed, as well as fast",
     }.get(kind, "more postures, and joints that accelerate together")

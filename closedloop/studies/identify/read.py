@@ -46,10 +46,8 @@ def table_of_bag(path: Path) -> dict[str, Array]:
         files = [path] if path.is_file() else [file for file in inside if file.is_file()]  # a pipe would be waited for
         if not files:
             raise LogError(f"{path}: is no file, and no folder with .mcap or .db3")
-        mcap = [file.suffix.lower() == ".mcap" for file in files]
-        messages = [
-            m for file, is_mcap in zip(files, mcap, strict=True) for m in (_of_mcap if is_mcap else _of_database)(file)
-        ]
+        readers = ((file, _of_mcap if file.suffix.lower() == ".mcap" else _of_database) for file in files)
+        messages = [message for file, read in readers for message in read(file)]
     except LogError:
         raise
     except Exception as error:  # whatever the readers raise
@@ -92,13 +90,10 @@ def _of_mcap(file: Path) -> Iterator[tuple[str, str, Any]]:
 
     with file.open("rb") as stream:
         reader = make_reader(stream, decoder_factories=[DecoderFactory()])
-        wanted = [
-            channel.topic
-            for summary in [reader.get_summary()]
-            if summary is not None
-            for channel in summary.channels.values()
-            if channel.schema_id in summary.schemas and summary.schemas[channel.schema_id].name in (JOINTS, WRENCH)
-        ]
+        summary: Any = reader.get_summary()
+        kinds = {} if summary is None else {number: schema.name for number, schema in summary.schemas.items()}
+        channels = () if summary is None else summary.channels.values()
+        wanted = [each.topic for each in channels if kinds.get(each.schema_id) in (JOINTS, WRENCH)]
         for schema, channel, _, message in reader.iter_decoded_messages(topics=wanted):
             if schema is not None:
                 yield channel.topic, schema.name, message
@@ -184,17 +179,15 @@ def read_log(
     `gain`, float or (n,), optional: what torques are multiplied by: N m/A of currents, which need one.
     Raises LogError if the file cannot be read, or columns are missing.
     """
-    path, given, factors = Path(path), dict(columns or {}), factors_of(gain)
+    path, given = Path(path), dict(columns or {})
+    factors_of(gain)  # whatever the file is
     if unknown := set(given) - set(NAMES):
         raise LogError(f"columns: {sorted(unknown)[0]!r} is none of {', '.join(NAMES)}")
     if path.suffix.lower() == ".nc" and not given:
         run = run_of(path)
         if run is not None:
             return log_of_run(run, str(path))
-    table = table_of(path)
-    time = time_of(table, given.get("time"), path)
-    q, v = (joints_of(table, what, given, robot, path, degrees) for what in ("q", "v"))
-    torque = joints_of(table, "torque", given, robot, path, currents=gain is not None)
+    table, time, q, v, torque = read_joints(path, robot, given, degrees, gain)
     for name, x in (("q", q), ("torque", torque)):
         if x is None:
             raise LogError(
@@ -203,7 +196,18 @@ def read_log(
             )
     assert q is not None
     assert torque is not None
-    return Log(time, q, torque * factors, robot.joint_names, v, str(path))
+    return Log(time, q, torque, robot.joint_names, v, str(path))
+
+
+def read_joints(
+    path: Path, robot: RobotModel, given: dict[str, str], degrees: bool, gain: float | Sequence[float] | None
+) -> tuple[dict[str, Array], Array, Array | None, Array | None, Array | None]:
+    """Return the columns of a file, and the time, positions, velocities and torques among them; see `read_log`."""
+    factors, table = factors_of(gain), table_of(path)
+    time = time_of(table, given.get("time"), path)
+    q, v = (joints_of(table, what, given, robot, path, degrees) for what in ("q", "v"))
+    torque = joints_of(table, "torque", given, robot, path, currents=gain is not None)
+    return table, time, q, v, None if torque is None else torque * factors
 
 
 def factors_of(gain: float | Sequence[float] | None) -> Array:

@@ -398,7 +398,13 @@ def write_columns(
         else:
             out.create_variable("time", ("time",), data=step * np.arange(rows)).attrs["units"] = "s"
         for name, wide in widths.items():
-            _create(out, name, rows, wide)
+            column, shape = ALL_COLUMNS[name], (1, max(rows, 1), *wide)
+            if wide and column.dims[1] not in out.dimensions:
+                out.dimensions[column.dims[1]] = wide[0]
+            whole = out.create_variable(
+                name, ("run", *column.dims), "f8", fillvalue=np.nan, chunks=shape, fletcher32=True
+            )  # fmt: skip
+            whole.attrs["units"], whole.attrs["long_name"] = column.units, column.meaning
         first = 0
         for part in range(parts):
             check()
@@ -431,16 +437,6 @@ class Joined:
     counts: dict[str, int]  # how many runs have each status
     verdicts: dict[str, int]  # how many runs have each verdict that is not good
     controls: dict[str, int]  # the same of the verdict of the control
-
-
-def _create(file: Any, name: str, rows: int, wide: tuple[int, ...]) -> None:
-    column = ALL_COLUMNS[name]
-    if wide and column.dims[1] not in file.dimensions:
-        file.dimensions[column.dims[1]] = wide[0]
-    variable = file.create_variable(
-        name, ("run", *column.dims), "f8", fillvalue=np.nan, chunks=(1, max(rows, 1), *wide), fletcher32=True
-    )  # fmt: skip
-    variable.attrs["units"], variable.attrs["long_name"] = column.units, column.meaning
 
 
 def already_there(identity: dict[str, Any], out: Path) -> Joined | None:
@@ -482,8 +478,7 @@ def join(store: Store, out: Path, parts: int, columns: pa.Schema, step: float) -
 
     Raises OutputError if a file cannot be written; the parts stay.
     """
-    description = json.dumps({"format": FORMAT, "identity": store.identity})
-    attributes = {METADATA: description}
+    description = {METADATA: json.dumps({"format": FORMAT, "identity": store.identity})}
     kept = out.with_suffix(".nc") if store.identity["keep"] else None
     counts = _Counts(Counter(), Counter(), Counter())
 
@@ -491,8 +486,7 @@ def join(store: Store, out: Path, parts: int, columns: pa.Schema, step: float) -
         def write_table(file: BinaryIO) -> None:
             from pyarrow import parquet
 
-            said = columns.with_metadata({METADATA: description})
-            with parquet.ParquetWriter(file, said, write_page_checksum=True) as table:
+            with parquet.ParquetWriter(file, columns.with_metadata(description), write_page_checksum=True) as table:
                 for rows in _rows(store, parts, done.check):
                     table.write_table(rows, row_group_size=2**30)
                     counts.add(rows)
@@ -500,12 +494,11 @@ def join(store: Store, out: Path, parts: int, columns: pa.Schema, step: float) -
         if kept is None and store.overwrite:
             # Another sweep left its whole columns beside the table that this one replaces.
             path = out.with_suffix(".nc")
-            if path.is_file() and not path.is_symlink():
-                found = _of_netcdf(path)
-                if isinstance(found, dict) and found.get("format") == FORMAT:
-                    path.unlink()
+            found = _of_netcdf(path) if path.is_file() and not path.is_symlink() else None
+            if isinstance(found, dict) and found.get("format") == FORMAT:
+                path.unlink()
         if kept is not None:  # first: where the table is, all is there
-            write_columns(kept, store, parts, attributes, step, done.check)
+            write_columns(kept, store, parts, description, step, done.check)
         write_whole(out, write_table)
 
     remove_unfinished(out.parent)  # of a process that was killed while it joined

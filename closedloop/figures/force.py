@@ -55,10 +55,7 @@ def has_impacts(run: Run) -> bool:
 
 
 def impacts(run: Run, ax: Axes | Sequence[Axes] | None = None) -> Figure:
-    """Draw the closure rate before and after each impact, its impulses, and its energy loss, against time.
-
-    For `ax` see `closedloop.figures`.
-    """
+    """Draw closure rates before and after impacts, impulses, energy lost over time; `ax`: see `closedloop.figures`."""
     if not has_impacts(run):
         raise ValueError("the run has no impact to draw")
     hit = hits(run)

@@ -88,10 +88,7 @@ SMALL, ROUNDING = 0.01, 1e-12
 
 
 def tip_position(run: Run, ax: Axes | Sequence[Axes] | None = None) -> Figure:
-    """Draw the tip's position against time (Fig. 4), its displacement from the start, and small components of that.
-
-    For `ax` see `closedloop.figures`.
-    """
+    """Draw the tip's position (Fig. 4), its displacement and small parts of that; `ax`: see `closedloop.figures`."""
     moved = run.position - run.position[0]
     sizes = np.max(np.abs(moved), axis=0)
     if style.length_unit(float(sizes.max()))[1] == "mm":

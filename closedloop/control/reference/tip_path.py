@@ -149,16 +149,10 @@ class Segment:
 class TipPath:
     """The desired tip position as a function of time.
 
-    Attributes
-    ----------
-    origin : (3,) array
-        Position of the tip before the first segment, m, base frame.
-    segments : tuple of Segment
-        Each begins when and where the one before ends; none: the tip stays.
-    keys : tuple of str
-        Keys of the scenario that set how far the path goes, for messages.
-    begins : float, optional
-        Instant at which it begins to move along the surface, s, if that is not when its first segment begins.
+    `origin` (3,): of the tip before the first segment, m, base frame; `segments`: each begins where the one before
+    ends.
+    `keys`: of the scenario, that set how far the path goes, for messages.
+    `begins`: when it begins to move along the surface, s, if not with its first segment.
     """
 
     origin: Array

@@ -175,16 +175,10 @@ PASSIVE, SAMPLING = 1e-6, 0.1
 class Port:
     """How the tip yields to a force along the normal, as the surface sees it: Y = v/f.
 
-    Attributes
-    ----------
-    frequency : (k,) array
-        Hz, up to half of the sampling rate.
-    admittance : (k,) array of complex
-        Y, m/s/N: the velocity of the tip along n to f.
-    passive : bool
-        Whether Re Y ≥ 0 at all of them: then the loop is stable on every passive surface.
-    active_at : float or None
-        The frequency at which Re Y is the most negative, relative to |Y|, Hz; None if it is passive.
+    `frequency`, `admittance` (k,): Hz, up to half of the sampling rate, and Y, m/s/N, the velocity of the tip along n
+    to f.
+    `passive`: whether Re Y ≥ 0 at all of them: then the loop is stable on every passive surface.
+    `active_at`: where Re Y is the most negative, relative to |Y|, Hz; None if it is passive.
     """
 
     frequency: Array

@@ -108,9 +108,7 @@ def varied(scenario: Scenario, vary: Mapping[str, Sequence[float]], log: Sequenc
     """
     found: dict[str, Varied] = {}
     if not vary:
-        raise ScenarioError(
-            "tune: nothing varies; name at least one key and its range, such as {'law.kp': (100, 2000)}"
-        )
+        raise ScenarioError("tune: nothing varies; name a key and its range, such as {'law.kp': (100, 2000)}")
     for name, ends in vary.items():
         match = _ENTRY.fullmatch(name)
         key, only = (match[1], (int(match[2]),)) if match else (name, None)
@@ -118,9 +116,8 @@ def varied(scenario: Scenario, vary: Mapping[str, Sequence[float]], log: Sequenc
         try:
             low, high = map(float, ends)
         except (TypeError, ValueError):
-            raise ScenarioError(
-                f"tune: {name} = {ends!r}: must be the two ends of a range, such as (100, 2000)"
-            ) from None
+            must = "must be the two ends of a range, such as (100, 2000)"
+            raise ScenarioError(f"tune: {name} = {ends!r}: {must}") from None
         if not (math.isfinite(low) and math.isfinite(high) and low < high):
             raise ScenarioError(f"tune: {name} = ({low:g}, {high:g}): the range must be finite, the lower end first")
         if name in log and low <= 0.0:
@@ -136,16 +133,11 @@ def varied(scenario: Scenario, vary: Mapping[str, Sequence[float]], log: Sequenc
     return list(found.values())
 
 
-def _number(text: str) -> float:
-    found = number_of(text)
-    return math.nan if found is None else found
-
-
 def limit_of(text: str) -> Limit:
     """Read a constraint from ``NAME<=NUMBER`` or ``NAME>=NUMBER``."""
     match = _LIMIT.fullmatch(text)
-    number = _number(match[3]) if match else math.nan
-    if match is None or not math.isfinite(number):
+    number = number_of(match[3]) if match else None
+    if match is None or number is None or not math.isfinite(number):
         raise ScenarioError(f"subject to {text!r}: must be a value and its limit, such as 'peak_contact_force<=12'")
     return Limit(match[1], match[2] == "<=", number)
 
@@ -160,13 +152,8 @@ def with_numbers(scenario: Scenario, some: Sequence[Varied], numbers: Sequence[f
 
 
 AT = "@"
-# Margins of the force loop at an instant, and how each is read.
-MARGINS: dict[str, Callable[[Any], float]] = {
-    "gain_margin": lambda margins: margins.decibels,
-    "phase_margin": lambda margins: margins.phase,
-    "delay_margin": lambda margins: margins.delay,
-    "modulus_margin": lambda margins: margins.modulus,
-}
+# Margins of the force loop at an instant, and what they are called there.
+MARGINS = {"gain_margin": "decibels", "phase_margin": "phase", "delay_margin": "delay", "modulus_margin": "modulus"}
 # A margin without end, as that of a loop that no gain makes unstable, counts as this.
 NO_END = 1e6
 # Problems of a verdict with which the numbers of a run mean nothing.
@@ -198,7 +185,8 @@ class Runs:
                     "such as modulus_margin@3"
                 )
             margin, _, instant = name.partition(AT)
-            if margin in MARGINS and not math.isfinite(_number(instant)):
+            at = number_of(instant)
+            if margin in MARGINS and (at is None or not math.isfinite(at)):
                 raise ScenarioError(f"tune: {name}: say at which instant the margin is taken, such as {margin}@3")
         lost = set(over) & {each.key for each in self.some}
         if lost:
@@ -287,7 +275,7 @@ class Runs:
                 loop = loops[instant]
                 if loop is None:
                     continue
-                found = MARGINS[margin](loop.margins())
+                found = getattr(loop.margins(), MARGINS[margin])
                 row[i] = min(found, NO_END) if loop.stable else -abs(min(found, NO_END))
             except ClosedLoopError:
                 row[i] = math.nan
@@ -449,10 +437,7 @@ class Tuning:
         })  # fmt: skip
 
     def figure(self, ax: Axes | None = None) -> Figure:
-        """Return a figure of the contact force before and now, of the scenario without variations.
-
-        With `ax` it is drawn on axes of the caller's, see `closedloop.figures`.
-        """
+        """Return a figure of the contact force before and now, without variations; `ax`: see `closedloop.figures`."""
         from closedloop.figures.style import COLOURS, legend_beside_title, panels, styled
         from closedloop.studies.gradient.differences import simulated
 

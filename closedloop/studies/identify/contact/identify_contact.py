@@ -248,10 +248,7 @@ class ContactIdentification:
         })  # fmt: skip
 
     def figure(self, ax: Axes | Sequence[Axes] | None = None) -> Figure:
-        """Return a figure of the measured and the predicted values of each part, and the residual.
-
-        With `ax` it is drawn on axes of the caller's, see `closedloop.figures`.
-        """
+        """Return a figure of each part, measured, predicted and residual; `ax`: see `closedloop.figures`."""
         from closedloop.figures.style import COLOURS, legend_beside_title, panels, styled
 
         drawn = [part for part in self.parts if len(part.time)]

@@ -33,7 +33,7 @@ their r, r' and r'', which is checked midway: where it is off, the point midway 
 """
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -231,18 +231,6 @@ class Rolled:
         return r - self.first, slope, bend
 
 
-@dataclass(frozen=True)
-class CarriedSegment(Segment):
-    """A segment on a surface that moves: drawn on it as it lies at t = 0, and carried along."""
-
-    surface: PlacedSurface
-
-    def sample(self, t: Array) -> tuple[Array, Array, Array]:
-        """Return r, ṙ and r̈ as `Segment.sample` does."""
-        times = np.asarray(t, dtype=np.float64)
-        return carry(self.surface, times, super().sample(times))
-
-
 class Rolling:
     """The plane of a path that rolls along a surface from `origin` (3,), m; ScenarioError without a normal there."""
 
@@ -417,14 +405,17 @@ def edge_key(section: Surface) -> str:
 
 @dataclass(frozen=True)
 class SegmentOnSurface(Segment):
-    """A segment whose motion is laid onto a surface."""
+    """A segment whose motion is laid onto a surface, or drawn on one that moves as it lies at t = 0."""
 
     surface: PlacedSurface
-    level: float  # the φ that the path keeps to
+    level: float | None = None  # the φ that the path keeps to; None: it is drawn on the surface, and carried along
 
     def sample(self, t: Array) -> tuple[Array, Array, Array]:
         """Return r, ṙ and r̈ as `Segment.sample` does."""
-        return self.surface.follow(self.level, np.asarray(t, dtype=np.float64), super().sample(t))
+        times, motion = np.asarray(t, dtype=np.float64), super().sample(np.asarray(t, dtype=np.float64))
+        if self.level is None:
+            return carry(self.surface, times, motion)
+        return self.surface.follow(self.level, times, motion)
 
 
 def on_surface(path: TipPath, surface: PlacedSurface, duration: float, geodesic: bool = False) -> TipPath:
@@ -433,27 +424,18 @@ def on_surface(path: TipPath, surface: PlacedSurface, duration: float, geodesic:
     `geodesic`: rolled onto it, with its lengths, and drawn on a body that moves, or projected along the normal alone.
     Raises ScenarioError if the surface does not lie under the path.
     """
-    level = surface.touching(path.origin).level
-    segments = list(path.segments)
-    if surface.moves:
-        segments = _without_gaps(path, duration)
-    if geodesic:
-        return replace(path, segments=tuple(_rolled(segments, path.origin, surface)), begins=path.start)
-    laid = tuple(
-        SegmentOnSurface(each.start, each.stop, each.origin, each.curve, each.timing, each.length, surface, level)
-        for each in segments
-    )
-    return replace(path, segments=laid, begins=path.start)
-
-
-def _rolled(segments: list[Segment], origin: Array, surface: PlacedSurface) -> Iterator[Segment]:
-    """Return the segments with their curves on the surface, each from where the one before ends."""
-    rolling = Rolling(surface, origin)
-    for each in segments:
-        begins, duration = rolling.r, each.stop - each.start
-        curve = rolling.roll(each.curve, duration, each.length)
-        common = each.start, each.stop, begins, curve, each.timing, each.length
-        yield CarriedSegment(*common, surface) if surface.moves else Segment(*common)
+    level, laid = surface.touching(path.origin).level, list[Segment]()
+    rolling = Rolling(surface, path.origin) if geodesic else None
+    for each in _without_gaps(path, duration) if surface.moves else path.segments:
+        if rolling is None:
+            common = each.start, each.stop, each.origin, each.curve, each.timing, each.length
+            laid.append(SegmentOnSurface(*common, surface, level))
+        else:
+            begins = rolling.r  # where the one before ends
+            curve = rolling.roll(each.curve, each.stop - each.start, each.length)
+            common = each.start, each.stop, begins, curve, each.timing, each.length
+            laid.append(SegmentOnSurface(*common, surface) if surface.moves else Segment(*common))
+    return replace(path, segments=tuple(laid), begins=path.start)
 
 
 def _without_gaps(path: TipPath, duration: float) -> list[Segment]:

@@ -33,7 +33,7 @@ another, is the instrument. Windows in which the tip may stick, or turns round, 
 vanish in the mean: it does not if the normal is another, or friction is not the same in all directions.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -231,6 +231,11 @@ class Part:
     measured: Array = field(default_factory=lambda: np.zeros(0))
     predicted: Array = field(default_factory=lambda: np.zeros(0))
 
+    def untold(self, names: Iterable[tuple[str, str]], why: str) -> "Part":
+        """Return it with parameters, names and units, that the log does not tell."""
+        self.estimates = [unknown(name, unit, why) for name, unit in names]
+        return self
+
 
 def unknown(name: str, unit: str, why: str, low: float = -np.inf) -> Estimate:
     """Return a parameter that the log does not tell."""
@@ -283,6 +288,8 @@ def spread(values: Callable[[Array], Array], at: Array, covariance: Array) -> Ar
 VARIES = 2.0
 # Steps of Gauss and Newton to the delay.
 STEPS = 5
+# What gain and delay beside the torques, and friction, are called, with their units.
+BESIDE, SLIDING = (("gain", "1"), ("sensor_delay", "s")), (("friction", "1"), ("viscous_friction", "N s/m"))
 TOUCH = "the tip never touches for long: press it on the surface"
 FREE = "the tip is never free for long: lift it off the surface for a while"
 TURN = "the tip does not turn while it is free: turn it, or the payload looks like a bias"
@@ -320,8 +327,7 @@ def of_free_rows(windows: Windows, gravity: Array, z: float) -> Sensor:
     used = windows.within(touch.free)
     part = Part("force while free, N")
     if used.sum() < FEWEST:
-        part.estimates = [unknown(name, "N", FREE) for name in names]
-        part.estimates += [unknown("payload", "kg", FREE)] if wide else []
+        part.untold([(name, "N") for name in names] + [("payload", "kg")] * wide, FREE)
         m = columns.shape[2]
         return Sensor(part, np.zeros(m + 1), np.zeros((m + 1, m + 1)), columns)
     counts = np.repeat(used[:, None], columns.shape[1], axis=1)
@@ -352,8 +358,7 @@ def beside_torques(recording: Recording, robot: Robot, touch: Touch, cutoff: flo
     first, last = (np.clip(end, 0, len(touch.time)) for end in ends)
     used = others[last] == others[first]
     if used.sum() < FEWEST:
-        part.estimates = [unknown("gain", "1", TOUCH), unknown("sensor_delay", "s", TOUCH)]
-        return part
+        return part.untold(BESIDE, TOUCH)
     rate, late, ones = np.gradient(whole, recording.time), 0.0, np.ones(len(at))
     for _ in range(STEPS):
         moved, slope = (np.interp(time + late, recording.time, x) for x in (whole, rate))
@@ -364,7 +369,7 @@ def beside_torques(recording: Recording, robot: Robot, touch: Touch, cutoff: flo
     level = float(np.median(wanted[used]))
     if not found.told[0] or f[used].std() < VARIES * float(found.sigma[0]):
         why = f"the force varies too little about {level:.3g} N to tell a gain from a bias: press harder and softer"
-        part.estimates = [unknown("gain", "1", why), unknown("sensor_delay", "s", why)]
+        part.untold(BESIDE, why)
     else:
         share, deviation = float(found.value[0]), float(found.deviation[0])
         part.estimates = [known("gain", 1.0 / share, deviation / share**2, "1", z)]
@@ -391,8 +396,7 @@ def compliance_of(windows: Windows, sensor: Sensor, z: float) -> Part:
     used = windows.within(touch.closed)
     height = windows.mean(windows.x.q @ n)
     if used.sum() < FEWEST:
-        part.estimates = [unknown(name, unit, TOUCH) for name, unit in NAMES]
-        return part
+        return part.untold(NAMES, TOUCH)
     noise = float(white_noise(touch.height[:, None])[0]) * np.sqrt(2.0 * touch.step * windows.cutoff)
     sinks = float(height[used].std())
     if sinks < max(OVER_NOISE * noise, LEAST_DEPTH):
@@ -400,8 +404,7 @@ def compliance_of(windows: Windows, sensor: Sensor, z: float) -> Part:
             f"the tip moves by {sinks:.2g} m along the normal while it touches, which is no more than noise: the "
             "surface is too stiff for this log; press harder, or measure closer to the tip"
         )
-        part.estimates = [unknown(name, unit, why) for name, unit in NAMES]
-        return part
+        return part.untold(NAMES, why)
     middle = float(height[used].mean())
 
     def rows(x: Motion) -> Array:
@@ -509,8 +512,7 @@ def friction_of(windows: Windows, sensor: Sensor, z: float) -> Part:
     assert touch.force is not None
     if x.torque.shape[1] != 3:
         why = "the log has the normal force only: give three components of the force"
-        part.estimates = [unknown("friction", "1", why), unknown("viscous_friction", "N s/m", why)]
-        return part
+        return part.untold(SLIDING, why)
     slip = x.v - np.outer(x.v @ n, n)
     speed = np.linalg.norm(slip, axis=1)
     noise = float(np.linalg.norm(x.noise - (x.noise @ np.abs(n)) * np.abs(n)))

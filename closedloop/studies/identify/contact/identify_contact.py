@@ -348,8 +348,7 @@ def identify_contact(
             _allow_for_counts(recording, parts, at, z, again)
     else:
         why = "the log has no force: name its columns, as in force=fx,fy,fz"
-        units = (("friction", "1"), ("viscous_friction", "N s/m"), *fits.NAMES)
-        parts.append(Part("force, N", [unknown(name, unit, why) for name, unit in units]))
+        parts.append(Part("force, N").untold((*fits.SLIDING, *fits.NAMES), why))
     parts.append(restitution_of(touch.time, touch.height, confidence))
     closed, free = (float(np.mean(rows)) for rows in (touch.closed, touch.free))
     return ContactIdentification(tuple(parts), recording.source, closed, free, confidence)

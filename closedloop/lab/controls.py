@@ -74,16 +74,12 @@ def _value(scenario: Scenario, key: str, unit_name: str) -> Any:
     return by_name.get(key, USUAL.get(unit_name, 1.0))
 
 
-# The tabs of the lab, and the sections of the scenario in each.
-TABS: dict[str, tuple[str, ...]] = {
-    "law": ("law", "compensation", "sensor", "force_profile", "belief", "model_error"),
-    "surface": ("surface", "surface_motion", "compliance", "impact", "contact", "external_force"),
-    "friction": ("friction", "joint_friction"),
-    "arm": ("encoder", "drives", "transmission"),
-    "stabiliser": ("stabiliser",),
-    "path": ("reference", "start", "tool"),
-    "time": ("time",),
-}
+# The sections of a scenario, in the order in which their controls are listed.
+LISTED = (
+    "law", "compensation", "sensor", "force_profile", "belief", "model_error", "surface", "surface_motion",
+    "compliance", "impact", "contact", "external_force", "friction", "joint_friction", "encoder", "drives", "transmission",
+    "stabiliser", "reference", "start", "tool", "time",
+)  # fmt: skip
 Form = Literal["linear", "log", "whole", "choice", "flag", "text"]
 # Keys whose values go with each other as whole numbers of steps: their sliders move in round values.
 ROUND = ("time.step",)
@@ -336,8 +332,7 @@ def all_controls(scenario: Scenario, model: RobotModel, law: str = "") -> dict[t
 
     `law` is the name of a function that is the law in place of the scenario's, whose gains then mean nothing.
     """
-    sections = (section for tab in TABS.values() for section in tab)
-    found = (control for section in sections for control in controls(scenario, section, model))
+    found = (control for section in LISTED for control in controls(scenario, section, model))
     absent = () if scenario.has_law else ("law.", "force_profile.")  # nothing is commanded
     there = {
         (control.key, control.index): control

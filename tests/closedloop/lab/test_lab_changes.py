@@ -16,7 +16,7 @@ from closedloop.figures.scene.scene import scene_of
 from closedloop.lab import controls as all_of
 from closedloop.lab import curves
 from closedloop.lab.app import Answers
-from closedloop.lab.controls import TABS, begin_values, controls
+from closedloop.lab.controls import LISTED, begin_values, controls
 from closedloop.lab.drawn import from_text, in_text, pack, unpack
 from closedloop.lab.history import History, Pins, compared, in_words, save
 from closedloop.lab.server import LONG, Newest
@@ -26,13 +26,12 @@ from closedloop.scenario.load import Variants, parse_scenario, split_overrides
 from closedloop.simulation.parts import Cache
 from closedloop.simulation.prepare import prepare
 
-SECTIONS = [section for tab in TABS.values() for section in tab]
 
 
 def all_controls(scenario):
     """Return every control of a scenario."""
     model = robot_models.load(scenario.robot.model)
-    return [control for section in SECTIONS for control in controls(scenario, section, model)]
+    return [control for section in LISTED for control in controls(scenario, section, model)]
 
 
 def control_of(scenario, key, index=None):

@@ -77,8 +77,8 @@ def _value(scenario: Scenario, key: str, unit_name: str) -> Any:
 # The sections of a scenario, in the order in which their controls are listed.
 LISTED = (
     "law", "compensation", "sensor", "force_profile", "belief", "model_error", "surface", "surface_motion",
-    "compliance", "impact", "contact", "external_force", "friction", "joint_friction", "encoder", "drives", "transmission",
-    "stabiliser", "reference", "start", "tool", "time",
+    "compliance", "impact", "contact", "external_force", "friction", "joint_friction", "encoder", "drives",
+    "transmission", "stabiliser", "reference", "start", "tool", "time",
 )  # fmt: skip
 Form = Literal["linear", "log", "whole", "choice", "flag", "text"]
 # Keys whose values go with each other as whole numbers of steps: their sliders move in round values.

@@ -27,7 +27,6 @@ from closedloop.simulation.parts import Cache
 from closedloop.simulation.prepare import prepare
 
 
-
 def all_controls(scenario):
     """Return every control of a scenario."""
     model = robot_models.load(scenario.robot.model)

@@ -13,6 +13,11 @@ IntArray = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
 
+def evenly(count: int, most: int) -> IntArray:
+    """Return so many of `count` numbers from 0 at most, evenly spaced, the first and the last among them."""
+    return np.unique(np.linspace(0, count - 1, min(most, count)).round().astype(np.int64))
+
+
 def number_of(text: str) -> float | None:
     """Return the number that a text is, None if it is none."""
     try:

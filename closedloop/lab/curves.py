@@ -16,7 +16,7 @@ import annotated_types
 import numpy as np
 from pydantic.fields import FieldInfo
 
-from closedloop.base.arrays import Array
+from closedloop.base.arrays import Array, evenly
 from closedloop.base.sections import field_units, sizes
 from closedloop.figures.force import contacts_drawn, friction_bounds
 from closedloop.figures.motion import tip_errors
@@ -347,7 +347,7 @@ def _note(run: Run, errors: Array, times: float = 1.0) -> str:
 
 def _loops(run: Run) -> Panel:
     """Return how far each loop joint is from closed, in `MOST_LOOPS` rows at most: its errors have no jumps."""
-    rows = np.unique(np.linspace(0, len(run) - 1, min(MOST_LOOPS, len(run))).round().astype(np.int64))
+    rows = evenly(len(run), MOST_LOOPS)
     errors = np.abs(errors_in(run, rows))
     parts = np.split(errors, np.cumsum([loop.rows for loop in run.model.loops])[:-1], axis=1)
     factor, name = length_unit(_largest(errors))

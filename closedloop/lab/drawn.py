@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from closedloop.base.arrays import evenly
 from closedloop.figures.motion import AT_REST
 from closedloop.figures.scene import scene as space
 from closedloop.figures.scene.scene import JOINTS, LOOP, OUTSIDE, PATH, TOUCH, WANTED, Scene
@@ -200,7 +201,7 @@ def space_message(
 def focus(scene: Scene) -> tuple[NDArray[np.float64], float]:
     """Return the middle (3,) and radius, m, of what the view of the contact shows: where forces act."""
     run, (whole, radius) = scene.run, scene.ball
-    rows = np.unique(np.linspace(0, len(run) - 1, 12).round().astype(int))
+    rows = evenly(len(run), 12)
     if scene.ground.there:
         points = space.thin_out(run.position, 50)
     elif scene.touching:
@@ -237,11 +238,6 @@ def frames(scene: Scene, rows: Rows, between: Callable[[], object] = lambda: Non
         places.append(np.hstack([turns, np.vstack([there[1], shift, marks[1], *(origin for _, origin in ghosts)])]))
     tails, forces = (np.array([[arrow[part] for arrow in each] for each in arrows]) for part in (0, 1))
     return {"time": run.time[np.asarray(rows)], "places": np.array(places), "tails": tails, "forces": forces}
-
-
-def spread(run: Run, most: int = FRAMES) -> NDArray[np.int64]:
-    """Return the numbers of so many rows at most, evenly spaced, the first and the last among them."""
-    return np.unique(np.linspace(0, len(run) - 1, min(most, len(run))).round().astype(np.int64))
 
 
 def _shapes(scene: Scene) -> Iterator[tuple[int, str, Shape, Message]]:

@@ -19,13 +19,14 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
+from closedloop.base.arrays import evenly
 from closedloop.base.errors import OutputError, ScenarioError, printable
 from closedloop.base.files import reason_of, write_whole
 from closedloop.figures.scene.scene import scene_of
 from closedloop.figures.scene.solids import Ghost
 from closedloop.lab.controls import Changes, toml_text
 from closedloop.lab.curves import Panel, panels, tiles
-from closedloop.lab.drawn import Message, curves, in_text, pack, robot_message, run_message, space_message, spread
+from closedloop.lab.drawn import Message, curves, in_text, pack, robot_message, run_message, space_message
 from closedloop.lab.server import FIRST_PORT, RUN, Client, Server, in_notebook
 from closedloop.record.report.control_verdict import told
 from closedloop.record.report.measures import MEASURES
@@ -56,7 +57,7 @@ def page_of(run: Run, command: str = "", ghosts: Sequence[Ghost] = ()) -> str:
         run_message(run, drawn, line="", n=1, partial=False) | {"columns": list(COLUMNS)},
         {"kind": "strip", "tiles": tiles(run, summary)},
         robot_message(scene),
-        space_message(scene, spread(run, MOST_FRAMES), summary["clearance"]) | {"n": 1},
+        space_message(scene, evenly(len(run), MOST_FRAMES), summary["clearance"]) | {"n": 1},
     ]
     return page(f"{run.scenario.name}, {run.model.name}", messages)
 

@@ -22,6 +22,7 @@ from typing import Any
 import numpy as np
 
 from closedloop.base.arguments import arguments_checked
+from closedloop.base.arrays import evenly
 from closedloop.base.errors import ClosedLoopError, ScenarioError, missing_line, one_line
 from closedloop.base.files import what_was_written, write_whole
 from closedloop.control.law import ControlLaw
@@ -30,7 +31,7 @@ from closedloop.figures.scene.solids import Ghost
 from closedloop.lab.app import Answer, Lab
 from closedloop.lab.controls import Changes
 from closedloop.lab.curves import margin_tiles, reduced, tiles, values
-from closedloop.lab.drawn import Message, pack, robot_message, space_message, spread
+from closedloop.lab.drawn import FRAMES, Message, pack, robot_message, space_message
 from closedloop.lab.history import MOST_PINS, History, Pin, compared, in_words, new_folder, save, share
 from closedloop.lab.mapping import MapWork
 from closedloop.lab.server import Client, Newest, finite, in_notebook
@@ -125,7 +126,9 @@ class Details:
             self._shapes = scene.shapes
             self._robot += 1
             lab.tell("robot", robot_message(scene) | {"robot": self._robot})
-        found = space_message(scene, spread(run), summary["clearance"], lambda: lab.wait_for_plots(GIVE_WAY))
+        found = space_message(
+            scene, evenly(len(run), FRAMES), summary["clearance"], lambda: lab.wait_for_plots(GIVE_WAY)
+        )
         lab.tell("space", found | {"robot": self._robot})
 
     def _send_strip(self, run: Run, summary: Message) -> None:
@@ -180,7 +183,7 @@ class Details:
 
 def analysis_message(found: Overview) -> Message:
     """Return the message of a loop's analysis."""
-    some = np.unique(np.linspace(0, len(found.frequency) - 1, min(POINTS, len(found.frequency))).round().astype(int))
+    some = evenly(len(found.frequency), POINTS)
     return {
         "kind": "analysis", "line": "", "sentence": found.sentence, "margins": found.margins.as_dict(),
         "frequency": found.frequency[some], "gain": found.gain[some], "phase": found.phase[some],

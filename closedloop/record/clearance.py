@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.base.arrays import Array
+from closedloop.base.arrays import Array, evenly
 from closedloop.base.errors import ModelError
 from closedloop.mechanics.surface.placed import unit
 from closedloop.record.columns.record import Record
@@ -77,7 +77,7 @@ def clearance(run: Record) -> Clearance | None:
     if not solids:
         return None
     mechanism = run.model.pinocchio_model()
-    rows = _some(known, MOST_ROWS)
+    rows = known[evenly(len(known), MOST_ROWS)]
     planes = _planes(run, mechanism)
     found = [_from_plane(run, solids, plane, touching, mechanism, known) for plane, touching in planes]
     pairs = _pairs(run, mechanism, solids)
@@ -92,17 +92,13 @@ def clearance(run: Record) -> Clearance | None:
         nearest = min(nearest, (_distance(*pairs[k], poses[at]), at, k))
     if np.isfinite(nearest[0]):
         low, high = rows[max(nearest[1] - 1, 0)], rows[min(nearest[1] + 1, len(rows) - 1)]
-        near = _some(known[(known >= low) & (known <= high)], 4 * MOST_ROWS)
+        about = known[(known >= low) & (known <= high)]
+        near = about[evenly(len(about), 4 * MOST_ROWS)]
         one, other = pairs[nearest[2]]
         distances = [_distance(one, other, pose) for pose in _poses(run, mechanism, near)]
         k = int(np.argmin(distances))
         found.append(Clearance(distances[k], float(run.time[near[k]]), (one.link, other.link)))
     return min((each for each in found if each is not None), key=lambda each: each.distance, default=None)
-
-
-def _some(rows: NDArray[Any], most: int) -> NDArray[Any]:
-    """Return so many of some rows at most, evenly spaced, the first and the last among them."""
-    return np.unique(rows[np.linspace(0, len(rows) - 1, most).round().astype(int)])
 
 
 def passing_note(found: Mapping[str, Any] | None) -> str:
@@ -192,7 +188,7 @@ def _from_plane(
 ) -> Clearance | None:
     """Return the least distance from a plane of the shapes that move, but for those of joints that touch it."""
     moving = [solid for solid in solids if solid.joint != 0 and solid.joint not in touching]
-    rows = _some(known, 8 * MOST_ROWS if moving else 1)
+    rows = known[evenly(len(known), 8 * MOST_ROWS if moving else 1)]
     poses, best = _poses(run, mechanism, rows), None
     for solid in moving:
         frames = poses[:, solid.joint] @ solid.place

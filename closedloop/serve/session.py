@@ -18,11 +18,12 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import ExitStack, closing, suppress
 from typing import Any, ClassVar, NamedTuple
 
+from closedloop.base.arrays import evenly
 from closedloop.base.errors import OutputError, printable
 from closedloop.figures.scene.scene import scene_of
 from closedloop.jit.kernel import direct
 from closedloop.lab.curves import tiles
-from closedloop.lab.drawn import Rows, curves, robot_message, run_message, space_message, spread
+from closedloop.lab.drawn import FRAMES, Rows, curves, robot_message, run_message, space_message
 from closedloop.lab.history import Shown, hello
 from closedloop.lab.server import FIRST_PORT
 from closedloop.lab.server import Client as Page
@@ -351,7 +352,7 @@ class Watch:
         if len(run):
             self._done, summary = True, run.summary()
             self._page.tell("strip", {"tiles": tiles(run, summary)})
-            self._show(run, spread(run), summary["clearance"])
+            self._show(run, evenly(len(run), FRAMES), summary["clearance"])
         self._page.tell("goodbye", {"line": line})
         self._page.close()
 

@@ -14,7 +14,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from closedloop.base.arrays import Array
+from closedloop.base.arrays import Array, evenly
 from closedloop.base.errors import ScenarioError
 from closedloop.figures.force import Drawn, contacts_drawn
 from closedloop.figures.motion import frame_of
@@ -150,8 +150,7 @@ def grid_triangles(rows: int, columns: int) -> NDArray[np.uint32]:
 
 def thin_out(points: Array, most: int = 400) -> Array:
     """Return so many of the points (N, 3) at most, evenly spaced in their order, without those that are no numbers."""
-    rows = np.linspace(0, len(points) - 1, min(most, len(points))).round().astype(int)
-    few: Array = points[np.unique(rows)]
+    few: Array = points[evenly(len(points), most)]
     return few[np.all(np.isfinite(few), axis=1)]
 
 
@@ -239,7 +238,7 @@ class Scene:
         """
         if self.ground.there:
             return self.ground.mesh
-        rows = np.unique(np.linspace(0, len(self.run) - 1, 20).round().astype(int))
+        rows = evenly(len(self.run), 20)
         there = [self.joint_places(int(row)) for row in rows]
         touched = [a.tail for row, at in zip(rows, there, strict=True) for a in self.between_links(int(row), *at)]
         vertices, faces = floor_mesh(self.run.scenario, np.vstack([origins for _, origins in there]))

@@ -15,7 +15,7 @@ import numpy as np
 from scipy.optimize import brentq
 from scipy.signal import detrend
 
-from closedloop.base.arrays import Array, number_at, share_of
+from closedloop.base.arrays import Array, evenly, number_at, share_of
 from closedloop.base.errors import ClosedLoopError, ScenarioError, SimulationError
 from closedloop.base.second_process import Beside, possible
 from closedloop.mechanics.surface.compliances.none import Rigid
@@ -231,7 +231,7 @@ class Stability:
         looked at.
         """
         shares = np.linspace(0.0, 1.0, points)
-        first = shares[np.unique(np.linspace(0, points - 1, min(points, FIRST_LOOKS)).round().astype(int))]
+        first = shares[evenly(points, FIRST_LOOKS)]
         if not any(self._along(over, along, np.array([share]), tolerance, stop) for share in first):
             return []
         if points < SHARED or not possible():

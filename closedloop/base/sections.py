@@ -63,15 +63,12 @@ def gain_of(value: Any) -> Any:
     return tuple(float(entry) for entry in value)
 
 
-def gains_not_negative(value: float | tuple[float, ...]) -> float | tuple[float, ...]:
-    """Refuse a negative number, or one in a list."""
+def gains_not_negative(value: float | tuple[float, ...], *, zero: bool = True) -> float | tuple[float, ...]:
+    """Refuse a negative number, or one in a list, and zero too if it is not allowed."""
+    must = "must not be negative" if zero else "must be greater than 0"
     for index, entry in enumerate(value if isinstance(value, tuple) else (value,)):
-        if entry < 0.0:
-            raise ValueError(
-                f"entry {index} is {entry:g}: must not be negative"
-                if isinstance(value, tuple)
-                else "must not be negative"
-            )
+        if entry < 0.0 or (entry == 0.0 and not zero):
+            raise ValueError(f"entry {index} is {entry:g}: {must}" if isinstance(value, tuple) else must)
     return value
 
 

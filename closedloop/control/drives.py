@@ -39,9 +39,10 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import BeforeValidator, Field
 
+from closedloop.base import sections
 from closedloop.base.arrays import Array
 from closedloop.base.errors import ScenarioError
-from closedloop.base.sections import ANGLE, COEFFICIENT, TORQUE, Gain, Section, Size, gain_of, stiffness_in, viscous_in
+from closedloop.base.sections import ANGLE, COEFFICIENT, TORQUE, Gain, Section, Size, stiffness_in, viscous_in
 from closedloop.control.sensor import EachJoint
 from closedloop.jit.kernel import kernel
 from closedloop.jit.parameters import per_joint
@@ -54,20 +55,13 @@ TORQUE_RATE = Size(1e12, "N m/s", "no drive is so fast", 1e-9)
 
 
 def _limit(value: Any) -> Any:
-    limit = gain_of(value)
-    for index, entry in enumerate(limit if isinstance(limit, tuple) else (limit,)):
-        if not entry > 0.0:
-            which = f"entry {index} is {entry:g}: " if isinstance(limit, tuple) else ""
-            raise ValueError(f"{which}must be greater than 0")
-    return limit
+    return sections.gains_not_negative(sections.gain_of(value), zero=False)
 
 
 def _torque_limit(value: Any) -> Any:
-    if isinstance(value, str):
-        if value != OF_THE_ROBOT:
-            raise ValueError(f'must be N m, one number or one per joint, or "{OF_THE_ROBOT}"')
-        return value
-    return _limit(value)
+    if isinstance(value, str) and value != OF_THE_ROBOT:
+        raise ValueError(f'must be N m, one number or one per joint, or "{OF_THE_ROBOT}"')
+    return value if isinstance(value, str) else _limit(value)
 
 
 Limit = Annotated[Gain, BeforeValidator(_limit)]

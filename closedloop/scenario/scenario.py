@@ -325,9 +325,7 @@ TIME_CONSTANT = Size(1e300, "s", "no run lasts so long", 1e-9, "no step resolves
 
 
 def _time_constant(value: Any) -> Any:
-    if isinstance(value, str):
-        if value != "auto":
-            raise ValueError('must be a number of seconds, or "auto"')
+    if value == "auto":
         return value
     if isinstance(value, bool) or not isinstance(value, (int, float)):
         raise ValueError('must be a number of seconds, or "auto"')

@@ -325,7 +325,7 @@ TIME_CONSTANT = Size(1e300, "s", "no run lasts so long", 1e-9, "no step resolves
 
 
 def _time_constant(value: Any) -> Any:
-    if value == "auto":
+    if isinstance(value, str) and value == "auto":
         return value
     if isinstance(value, bool) or not isinstance(value, (int, float)):
         raise ValueError('must be a number of seconds, or "auto"')

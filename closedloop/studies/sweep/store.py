@@ -398,13 +398,7 @@ def write_columns(
         else:
             out.create_variable("time", ("time",), data=step * np.arange(rows)).attrs["units"] = "s"
         for name, wide in widths.items():
-            column, shape = ALL_COLUMNS[name], (1, max(rows, 1), *wide)
-            if wide and column.dims[1] not in out.dimensions:
-                out.dimensions[column.dims[1]] = wide[0]
-            whole = out.create_variable(
-                name, ("run", *column.dims), "f8", fillvalue=np.nan, chunks=shape, fletcher32=True
-            )  # fmt: skip
-            whole.attrs["units"], whole.attrs["long_name"] = column.units, column.meaning
+            _create(out, name, rows, wide)
         first = 0
         for part in range(parts):
             check()
@@ -437,6 +431,16 @@ class Joined:
     counts: dict[str, int]  # how many runs have each status
     verdicts: dict[str, int]  # how many runs have each verdict that is not good
     controls: dict[str, int]  # the same of the verdict of the control
+
+
+def _create(file: Any, name: str, rows: int, wide: tuple[int, ...]) -> None:
+    column = ALL_COLUMNS[name]
+    if wide and column.dims[1] not in file.dimensions:
+        file.dimensions[column.dims[1]] = wide[0]
+    variable = file.create_variable(
+        name, ("run", *column.dims), "f8", fillvalue=np.nan, chunks=(1, max(rows, 1), *wide), fletcher32=True
+    )  # fmt: skip
+    variable.attrs["units"], variable.attrs["long_name"] = column.units, column.meaning
 
 
 def already_there(identity: dict[str, Any], out: Path) -> Joined | None:

@@ -216,6 +216,8 @@ class Scene:
         """The robot's shapes, each in the frame of a joint, or of a [[mocap]]."""
         shapes, first = robot_shapes(self.run.model, self.tip), mechanism_of(self.model).njoints
         moved = {name: (first + k, each) for k, each in enumerate(self.robot.moved) for name in each.names}
+        if not moved:
+            return shapes  # one and the same for all runs: a page has the robot already
         found = []
         for shape in shapes:
             if shape.frame in moved:  # given in the base frame

@@ -67,7 +67,9 @@ class _Names(dict[str, Any]):
 
 
 def arguments_checked(**words: str) -> Callable[[F], F]:
-    """Return what makes of a function one that compares its arguments with their annotations, or `words`, first.
+    """Return what makes of a function one that compares its arguments with their annotations first.
+
+    `words` say of an argument what it must be, in place of what its annotation says.
 
     Raises ScenarioError by the function that is made, if an argument has another type, or is NaN.
     """

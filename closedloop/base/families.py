@@ -35,7 +35,10 @@ users: "dict[str, type[Member]]" = {}  # name -> class of every user's member th
 
 
 class Member:
-    """Base of all members of families; of a family's base class `folder` is the package of those that ship."""
+    """Base of all members of families.
+
+    `folder`: of a family's base class: the package whose modules are the members that ship.
+    """
 
     folder: ClassVar[str] = ""
 
@@ -192,7 +195,10 @@ class Family(Mapping[str, type[M]], Generic[M]):
         return tuple(sorted(module.name for module in iter_modules(import_module(self.base.folder).__path__)))
 
     def __getitem__(self, name: str) -> type[M]:
-        """Return the member with this name; KeyError if there is none, or it is a user's not named in this process."""
+        """Return the member with this name.
+
+        Raises KeyError if there is none, or it is a user's class not named in this process.
+        """
         if ":" in name:
             known: type[Member] = users[name]
             if not issubclass(known, self.base):
@@ -241,12 +247,14 @@ class Family(Mapping[str, type[M]], Generic[M]):
         return self is other
 
     def named(self, value: Any, key: str) -> Any:
-        """Make a user's class that the command line or Python gives for a kind known, and return its name.
+        """Take what the command line or Python gives for a kind; make a user's class known, and return its name.
 
-        `value`: a name, MODULE:CLASS, or the class; what is none of them is returned for the validation. `key`: for
-        messages.
-        Raises ScenarioError if there is none, or it is none of this family, or a function of it does not take its
-        arguments; what a user's module raises while it is imported is raised as it is.
+        `value`: a name, MODULE:CLASS, or the class itself. What is none of them is returned as it is, for the
+            validation.
+        `key`: the key it was given for, for messages.
+        Raises ScenarioError if there is no such module or class, the class is none of this family, or a function of it
+            does not take the arguments that it will be given. What a user's module raises while it is imported is
+            raised as it is.
         """
         if isinstance(value, str) and ":" in value:
             value = self._imported(value, key)
@@ -310,7 +318,11 @@ class Family(Mapping[str, type[M]], Generic[M]):
 
 
 class OneOf:
-    """The annotation of a key whose value is the name of a member of `families`, such as time.integrator, or a word."""
+    """The annotation of a key whose value is the name of a member without parameters, such as time.integrator.
+
+    `families`: whose names it takes.
+    `words`: what else it may say.
+    """
 
     def __init__(self, *families: Family[Any], words: tuple[str, ...] = ()) -> None:
         self.families, self.words = families, words

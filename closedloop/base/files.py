@@ -30,10 +30,15 @@ def write_whole(
 ) -> Path:  # fmt: skip
     """Write a file, and return its path; if that fails, the older file of that name is unchanged.
 
-    `content`: what goes into it, or a function that writes it into an open file, which can be read and sought in too.
-    HDF5 does not survive a failed write: let it write into memory, or into a file of which enough is reserved.
-    `reserve`: so many bytes of the disk are made sure of first; what is not used stays as zeros unless it is truncated.
-    Raises OutputError if it cannot be written, or an older file is not to be replaced (`replace`).
+    `path`: where it goes. Its folder must be there.
+    `content`: what goes into it; or a function that writes it into an open file, which can be read and sought in too.
+        HDF5 does not survive a failed write (it ends the process): let it write into memory (`io.BytesIO`), or into a
+        file of which enough is reserved.
+    `reserve`: so many bytes of the disk are made sure of before anything is written, where the system can do that; what
+        is not used stays as zeros at the end, unless the function truncates the file.
+    `replace`: whether an older file of that name is replaced.
+    Raises OutputError if it cannot be written: no such folder, no permission, a full disk, something there that is no
+        file, or that is not to be replaced.
     """
     path = Path(path)
     unfinished = path.with_name(_unfinished_name())
@@ -81,7 +86,11 @@ def _give_name(unfinished: Path, path: Path, replace: bool) -> None:
 
 
 def remove_unfinished(folder: str | Path) -> list[Path]:
-    """Remove a folder's files of `write_whole` that no writer is at any more, of this user; return the folder."""
+    """Remove what writers that were killed left in a folder, and return it.
+
+    A file goes only if its name is one that `write_whole` gave, it is a regular file of this user, and no writer is at
+    it any more.
+    """
     gone: list[Path] = []
     try:
         with os.scandir(folder) as entries:
@@ -110,14 +119,20 @@ def probe_folder(folder: Path) -> None:
 
 
 class FolderLock:
-    """The lock that one process has on a folder, until it ends; Windows and some file systems let everybody have it."""
+    """The lock that one process has on a folder; without it nothing keeps others from the folder.
+
+    It goes with the process. File systems without locks, and Windows, let everybody have it.
+    """
 
     def __init__(self, file: int | None) -> None:
         self._file = file
 
     @classmethod
     def of(cls, folder: Path) -> "FolderLock | None":
-        """Lock a folder; None if another has it, FileNotFoundError if there is no such folder (any more)."""
+        """Lock a folder; None if another process, or another lock of this one, has it.
+
+        Raises FileNotFoundError if there is no such folder, or it was removed meanwhile.
+        """
         if fcntl is None:
             return cls(None)
         try:
@@ -243,6 +258,9 @@ def made_folder(out: str | Path) -> Path:
 
 
 def what_was_written(*paths: str | Path, folder: str | Path | None = None) -> str:
-    """Return the line of a command that has written files, printable; with a folder their names stand after it."""
+    """Return the line of a command that has written files, printable: a path may have any character in it.
+
+    With a folder the names of the files stand after it.
+    """
     names = ", ".join(str(path) if folder is None else Path(path).name for path in paths)
     return printable(f"wrote {names}" if folder is None else f"wrote {folder}{os.sep}: {names}")

@@ -21,7 +21,10 @@ class Terminated(KeyboardInterrupt):
 
 
 def leave_quietly() -> None:
-    """Let Ctrl-C end this process at once, without a traceback: it has but imported, or has done all."""
+    """Let Ctrl-C end this process at once and without a word, where it would print a traceback.
+
+    For a command that has done nothing yet but to import, or that has done all; see `as_exceptions`.
+    """
     here = threading.current_thread() is threading.main_thread()
     if here and signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         signal.signal(signal.SIGINT, _leave)
@@ -93,7 +96,10 @@ _since: dict[int, float] = {}
 
 
 def _comes_again(number: int, frame: FrameType | None) -> bool:
-    """Whether a signal is sent again a little later: callbacks of imports drop what its handler raises now."""
+    """Whether a signal is sent again a little later, as what its handler raises now may be lost.
+
+    Callbacks of Python's imports, and libraries that are being imported, drop what is raised in them.
+    """
     now = time.monotonic()
     if not _cannot_raise(frame, "importlib") or now - _since.setdefault(number, now) > PATIENCE:
         _since.pop(number, None)
@@ -105,7 +111,11 @@ def _comes_again(number: int, frame: FrameType | None) -> bool:
 
 
 class held_back:  # a context, as those beside it
-    """Let the first Ctrl-C or SIGTERM, or of `numbers` alone, wait until the block is done; a second does not wait."""
+    """Let the first Ctrl-C or SIGTERM wait until the block is done, and then act; a second one does not wait.
+
+    With `numbers`, those signals only. Each run has two such blocks: what the module `signal` is made of takes a sixth
+    of its time.
+    """
 
     __slots__ = ("_numbers", "_usual", "_waiting")
 
@@ -144,7 +154,8 @@ AGAIN = 0.25
 def answered_where_it_can_be() -> Iterator[None]:
     """Let Ctrl-C and SIGTERM wait while a compiler's library calls back, or an object is taken away.
 
-    What a handler raises there is forgotten: the signal is sent again until it is answered, at the block's end at last.
+    What a handler raises there Python prints and forgets, and the program goes on. The signal is sent again until it is
+    answered, at the end of the block at the latest.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
@@ -183,7 +194,10 @@ def answered_where_it_can_be() -> Iterator[None]:
 
 
 def _cannot_raise(frame: FrameType | None, *others: str) -> bool:
-    """Whether no handler sees an exception raised in a frame, as a C library, or of `others`, called it."""
+    """Whether no handler sees an exception raised in a frame, as a C library or the garbage collector called it.
+
+    `others` are packages in whose calls it may be lost, beside those that do so always.
+    """
     while frame is not None:
         module = str(frame.f_globals.get("__name__", "")).partition(".")[0]
         if module in ("llvmlite", "weakref", *others) or frame.f_code.co_name == "__del__":
@@ -194,11 +208,13 @@ def _cannot_raise(frame: FrameType | None, *others: str) -> bool:
 
 @contextmanager
 def compiler_at_work() -> Iterator[None]:
-    """Let Ctrl-C wait until the block, which asks something of numba or LLVM, is done; a second one does not, nor
-    SIGTERM.
+    """Let Ctrl-C wait until the block, which asks something of numba or LLVM, is done.
 
-    Both take locks, which what a signal raises could leave taken for ever. No garbage is looked for meanwhile: a
-    compiler's graphs are in use, and looking through them takes a tenth.
+    A second Ctrl-C does not wait, nor does SIGTERM, after which nothing is compiled. No garbage is looked for
+    meanwhile: a compiler's graphs are in use, and looking through them takes a tenth.
+
+    Both take locks, numba for all of a compilation and LLVM for each call of its library. What a signal raises as one
+    is taken or released would leave it taken, and the next thread that asks would wait for ever.
     """
     was = gc.isenabled()
     with answered_where_it_can_be(), held_back(signal.SIGINT):

@@ -18,7 +18,10 @@ BETWEEN_LINES = 10.0
 
 
 def _shown(*columns: str | ProgressColumn) -> Progress:
-    """Return progress with these columns on standard error, disabled where that is no terminal, FORCE_COLOR or not."""
+    """Return progress with these columns on standard error, disabled where that is no terminal.
+
+    With FORCE_COLOR rich takes a file for a terminal, which is to have colours.
+    """
     from rich.console import Console
     from rich.progress import Progress
 
@@ -52,7 +55,11 @@ def reporting(
 
 @contextmanager
 def count(name: str, total: int) -> Iterator[Callable[[int, int], None]]:
-    """Yield a function of (runs done, runs in all) that shows them with rate and time left, as a bar or in lines."""
+    """Yield a function of (runs done, runs in all) that shows them with their rate and the time left.
+
+    Runs that were done before the first call have no part in the rate. On a terminal it is a bar, else a line every
+    `BETWEEN_LINES` seconds.
+    """
     from rich.progress import BarColumn
 
     began: list[tuple[float, int]] = []

@@ -31,7 +31,10 @@ def possible() -> bool:
 
 
 class Beside(Generic[T]):
-    """Work that is begun now in a second process, if possible; what it prints is dropped, what fails is done here."""
+    """Work that is begun now in a second process, if that is possible.
+
+    `work`: its result is pickled. What it prints and logs is dropped, and if it raises anything it is done again here.
+    """
 
     def __init__(self, work: Callable[[], T]) -> None:
         self._work, self._process = work, None  # type: Callable[[], T], Any

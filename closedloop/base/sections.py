@@ -116,7 +116,10 @@ class SizeError(ValueError):
 
 @dataclass(frozen=True)
 class Size:
-    """Bounds of the magnitude of a number that is not zero, or of each entry of a list."""
+    """Bounds of the magnitude of a number that is not zero, or of each entry of a list.
+
+    Whether zero or negative numbers are allowed is a matter of the annotated type.
+    """
 
     most: float  # the largest magnitude
     unit: str  # its unit, see `Unit`

@@ -40,7 +40,10 @@ class Left(Exception):
 
 
 class Parser(argparse.ArgumentParser):
-    """A parser whose errors `run_command` turns into a line, with `cure` at its end, and a status."""
+    """A parser whose errors `run_command` turns into a line and a status.
+
+    `cure`: what to say at the end of a refusal.
+    """
 
     def __init__(self, *, cure: str = "see --help", **settings: object) -> None:
         super().__init__(**settings, allow_abbrev=False)  # type: ignore[arg-type]
@@ -76,7 +79,10 @@ def as_command(
     name: str = "closedloop",
     stopped: tuple[type[errors.ClosedLoopError], ...] = (errors.SimulationError, errors.ClusterError),
 ) -> Callable[[Callable[[list[str]], int]], Callable[..., int]]:
-    """Return a decorator that makes a command of a function of words, by default the process's; see `run_command`."""
+    """Return a decorator that makes a command of a function of words, which are the process's if left out.
+
+    See `run_command`.
+    """
 
     def of(main: Callable[[list[str]], int]) -> Callable[..., int]:
         @wraps(main)
@@ -94,7 +100,10 @@ def run_command(
 ) -> int:  # fmt: skip
     """Run a command and return its exit status, with all exceptions and output errors handled.
 
-    `name`: what its lines on standard error begin with; `stopped`: errors with the status 3.
+    `name`: what its lines on standard error begin with.
+    `main`: takes the words of the command line and returns the status.
+    `arguments`: the words; those of the process if left out.
+    `stopped`: errors with the status 3.
     """
     words = sys.argv[1:] if arguments is None else list(arguments)
     if isinstance(sys.stdout, io.TextIOWrapper):
@@ -226,7 +235,11 @@ class _OfScenarios(Parser):
 
 
 def scenario_parser(prog: str, rest: str, **settings: Any) -> Parser:
-    """Return a parser whose help lists the sections of a scenario and explains each, and each of its keys."""
+    """Return a parser whose help lists the sections of a scenario and explains each, and each of its keys.
+
+    `prog`, `rest`: how the command is called, and what follows its options in the usage.
+    `**settings`: see `closedloop.command.border.Parser`.
+    """
     parser = _OfScenarios(
         prog=prog, usage=f"{prog} {rest} [options] [--SECTION.KEY VALUE ...]", formatter_class=OneScreen,
         add_help=False, **settings,

@@ -215,9 +215,10 @@ class Posture(NamedTuple):
 
 
 def first_slide(robot: Robot, name: str, force: float | None = None) -> Scenario:
-    """Return a scenario in which a robot, `robot.model` = `name`, presses on a surface and slides, with a good verdict.
+    """Return a scenario in which a robot presses on a surface and slides, with a run whose verdict is good.
 
-    `force`: to press with, N; if left out the first of `FORCES` with which there is such a scenario.
+    `name`: what `robot.model` is to say.
+    `force`: force to press with, N; if left out the first of `FORCES` with which there is such a scenario.
     Raises ScenarioError if none was found; says what was in the way of the one that was nearly right.
     """
     if robot.turns_freely:
@@ -323,7 +324,10 @@ def _postures(robot: Robot, normal: tuple[float, float, float], faults: Faults) 
 
 
 def _aside(robot: Robot, rng: np.random.Generator, low: Array, high: Array) -> Array:
-    """Return where joints stay that do not move the tip: at home, or where they are least loaded unless of loops."""
+    """Return where the joints stay that do not move the tip: at home, or where they are least loaded if not there.
+
+    Those of loops and couplings stay at home, where they are closed.
+    """
     home, aside = np.asarray(robot.model.home), robot.support == 0.0
     turns = aside.copy()
     if robot.model.loops:
@@ -387,7 +391,10 @@ def _judged(robot: Robot, normal: tuple[float, float, float], q: Array, first: b
 
 
 def _pressing(robot: Robot, posture: Posture, force: float, faults: Faults) -> Posture | None:
-    """Return a posture with its score if the joints of a tree can press with a force, N; note why if they cannot."""
+    """Return a posture with its score if the joints can press with a force, N; note why if not.
+
+    Of a mechanism with loops that is asked where they are closed.
+    """
     if robot.model.loops:
         return posture
     effort, fault = _effort(robot, posture.weight, posture.along, force)
@@ -413,7 +420,10 @@ def _effort(robot: Robot, weight: Array, along: Array, force: float) -> tuple[fl
 
 
 def _directions(reached: Array, frame: Array) -> Iterator[tuple[float, ...]]:
-    """Return directions along the surface, whose `frame` has the normal first, in the span of `reached` (3, rank)."""
+    """Return directions along the surface in which the tip can move; `reached` (3, rank) spans its velocities.
+
+    `frame` (3, 3) has the normal and the tangents of the surface as rows.
+    """
     across = frame[1:].T
     for direction in (frame[2], frame[1], -frame[2], -frame[1]):
         if np.linalg.norm(reached @ (reached.T @ direction) - direction) < 1e-9:

@@ -36,7 +36,10 @@ def _taken(folder: Path, why: str) -> TakenError:
 
 
 def first_free(folder: Path, question: dict[str, str], overwrite: bool) -> "Results":
-    """Return where results go if no folder was named: the first of FOLDER, FOLDER-2 ... that no other run has."""
+    """Return where results go if no folder was named: `folder`, or the first of FOLDER-2, FOLDER-3 ... that is free.
+
+    Free is what holds no other run, and what no other run is being written into. See `Results`.
+    """
     why = ""
     for number in itertools.count(1):
         place = folder if number == 1 else folder.with_name(f"{folder.name}-{number}")
@@ -53,9 +56,11 @@ def first_free(folder: Path, question: dict[str, str], overwrite: bool) -> "Resu
 class Results:
     """Where the results of a run go; at the end of a ``with`` block no folder is left that was made for nothing.
 
-    `folder`: it is made if need be, cleared of what killed writers left, and locked until the end of the block.
-    `not_first`: why they do not go into the folder that is tried first, see `first_free`; "" if they do.
-    `question`: the inputs, of `closedloop.record.save.question`; results of others are replaced only with `overwrite`.
+    `not_first`, str: why they do not go into the folder that is tried first, see `first_free`; "" if they do.
+    `folder`: it is made if need be, and what killed writers left in it is removed; this process has it locked until the
+        end of the ``with`` block.
+    `question`: the inputs of the run, see `closedloop.record.save.question`.
+    `overwrite`: whether results of another question may be replaced.
     """
 
     def __init__(self, folder: Path, question: dict[str, str], overwrite: bool) -> None:
@@ -138,7 +143,10 @@ class Results:
 
 
 def _make_writable(folder: Path) -> list[Path]:
-    """Make the output folder before the simulation; return the folders that were not there, the innermost first."""
+    """Make the output folder before anything is simulated, so that no result is lost if that fails.
+
+    Returns the folders that were not there, the innermost first.
+    """
     missing: list[Path] = []
     try:
         missing += [place for place in (folder, *folder.parents) if not place.exists()]
@@ -159,7 +167,10 @@ def _remove_empty(folders: list[Path]) -> None:
 
 
 def why_not_writable(folder: Path) -> str:
-    """Return why nothing can be written into a folder, there or not, "" if something can; makes nothing."""
+    """Return why nothing can be written into a folder that need not be there yet, "" if something can; makes nothing.
+
+    A file that is there already is no fault yet: whose it is depends on the scenario.
+    """
     why = files.why_not_there((folder, *folder.absolute().parents))
     return why and f"--out {str(folder)!r}: cannot be written: {why}; name another folder"
 

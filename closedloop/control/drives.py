@@ -84,7 +84,10 @@ class DrivesSection(Section):
 
 
 def torque_limits(section: DrivesSection, model: RobotModel) -> Array:
-    """Return the largest torque of each joint (n,), N m, ∞: none; ScenarioError if a list or the file lacks entries."""
+    """Return the largest torque of each joint (n,), N m; ∞ where there is none.
+
+    Raises ScenarioError if a list has not one entry a joint, or the robot's file has no effort limit.
+    """
     limit = section.torque_limit
     if limit is None:
         return np.full(model.n, math.inf)
@@ -101,7 +104,9 @@ def torque_limits(section: DrivesSection, model: RobotModel) -> Array:
 def torque_steps(section: DrivesSection, model: RobotModel, period: float | None) -> Array:
     """Return by how much each torque may change from sample to sample (n,), N m; ∞ where there is no rate limit.
 
-    Raises ScenarioError if a list has not one entry a joint, or the law is not sampled (`period` is None).
+    `section`, `model`: the limits and the robot.
+    `period`: time between two samples of the law, s; None: it is not sampled.
+    Raises ScenarioError if a list has not one entry a joint, or the law is not sampled.
     """
     if section.rate_limit is None:
         return np.full(model.n, math.inf)
@@ -174,11 +179,14 @@ class TransmissionSection(Section):
 
 
 def transmission_constants(section: TransmissionSection, model: RobotModel) -> Array:
-    """Return of each joint, (5, n), stiffness, N m/rad, damping, inertia of its motor, half the backlash, share that
-    rubs.
+    """Return, of each joint, (5, n): what the next lines say.
 
-    A stiffness of zero is that of a rigid joint. Joints without a drive have no motor, and are zero.
-    Raises ScenarioError if entries are missing, a motor's inertia is not known, or there is no spring to it all.
+    Stiffness, N m/rad, damping, N m s/rad, motor inertia, kg m², half the backlash, rad (m), and the share of the load
+    that rubs. A stiffness of zero is that of a rigid joint. Joints without a drive, which loops may have, have no
+    motor, and are zero.
+
+    Raises ScenarioError if a list has not one entry a joint, the inertia of a motor is not known, or there is no spring
+        to it all.
     """
     if section.stiffness is None:
         usual = TransmissionSection()

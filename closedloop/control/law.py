@@ -262,7 +262,10 @@ def _check_states(law: "type[ControlLaw] | type[Compensation]", key: str) -> Non
 
 
 class Compensation(Parameters):
-    """[compensation]: a torque against friction, or for a surface not as believed, which its `torque` adds to Q."""
+    """[compensation]: a torque against friction, or for a surface that is not as believed, added to that of the law.
+
+    Its functions are those of a law (see `ControlLaw`), but `torque` adds to Q.
+    """
 
     folder: ClassVar[str] = "closedloop.control.compensation"
     # Parameters that are values of friction as the controller believes it to be, see `model_error.friction`.

@@ -107,7 +107,10 @@ class PackedSensor(NamedTuple):
 
 
 def pack_sensor(section: SensorSection, period: float) -> PackedSensor:
-    """Return the numbers of a sensor sampled every `period`, s; ScenarioError if delay or filter do not fit."""
+    """Turn the section into numbers for a sensor that is sampled every `period`, s.
+
+    Raises ScenarioError if the delay is no whole number of samples, or the low-pass is faster than the sampling.
+    """
     delay = round(section.delay / period) if section.delay / period < 2 * MOST_DELAYED else 2 * MOST_DELAYED
     if delay > MOST_DELAYED:
         raise ScenarioError(
@@ -134,7 +137,11 @@ def pack_sensor(section: SensorSection, period: float) -> PackedSensor:
 
 
 def draws(section: SensorSection, count: int) -> Array:
-    """Return numbers of the sensor's seed, (count, 4): normal ones for the axes' noise, and of 0 to 1 for jitter."""
+    """Return the numbers drawn from the sensor's seed, (count, 4), one row a sample.
+
+    They are standard normal ones for the noise of each axis, and one from 0 to 1 for the jitter. A part that is not
+    asked for is zero, and changes none of the others.
+    """
     found, generator = np.zeros((count, 4)), np.random.default_rng(section.seed)
     if section.noise > 0.0:
         found[:, 0] = generator.standard_normal(count)
@@ -208,7 +215,10 @@ def sense(signal: float, bias: float, sample: int, par: Any, normal: float, ring
 
 
 def start_sensor(f_true: float, sensor: PackedSensor, z: Array, signal: Array, ring: Array) -> None:
-    """Write states, signals (3,) and rings (3, delay + 1) of a sensor at rest under f_true, N, along the normal."""
+    """Write the states, signals (3,) and rings (3, delay + 1) of a sensor in steady state, without noise.
+
+    The force is f_true, N, along the normal.
+    """
     for axis, (felt, reading) in enumerate(_steady(sensor, f_true + 0.0)):
         signal[axis] = felt
         z[axis : axis + 1] = felt
@@ -272,7 +282,10 @@ def encoder_draws(section: EncoderSection, count: int, n: int) -> Array:
 
 
 def check_steps(section: EncoderSection, low: Array, high: Array, names: Sequence[str]) -> None:
-    """Refuse an encoder whose step is a joint's whole range, `low` to `high` (n,), rad (m): it reads one number."""
+    """Refuse an encoder whose step is a joint's whole range, from `low` to `high` (n,), rad (m): it reads one number.
+
+    A joint without limits has no such range.
+    """
     for name, step, travel in zip(names, np.broadcast_to(section.quantisation, low.shape), high - low, strict=True):
         if step >= travel:
             raise ScenarioError(

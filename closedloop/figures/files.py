@@ -178,7 +178,10 @@ def images_of(draw: Callable[[Run], Figure], run: Run, formats: Sequence[str] = 
 
 
 def images(figure: Figure, formats: Sequence[str] = IMAGES) -> Images:
-    """Return the files of a drawn figure by their endings, first the named one; each says who made it, not when."""
+    """Return the content of the files of a figure that is drawn, by their endings; the first is the one that is named.
+
+    Each says who made it, so that results of another run may be told and removed, and not when.
+    """
     engine = figure.get_layout_engine()
     if engine is not None:
         engine.execute(figure)

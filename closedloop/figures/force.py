@@ -43,7 +43,10 @@ class _Series(NamedTuple):
 
 
 def hits(run: Run) -> NDArray[np.bool_]:
-    """Return which events are meetings with the surface (M,): with an impulse, beyond the rounding of forces."""
+    """Return which events are meetings with the surface (M,).
+
+    A touchdown without an impulse does not count, nor one whose impulse is the rounding of the forces times a step.
+    """
     forces = run.link_forces if run.scenario.contact else run.contact_force
     least = ROUNDING * run.scenario.time.step * float(np.max(np.abs(forces), initial=0.0))
     return np.isin(run.event_kind, (IMPACT, TOUCHDOWN)) & (run.event_compression > least)
@@ -55,7 +58,10 @@ def has_impacts(run: Run) -> bool:
 
 
 def impacts(run: Run, ax: Axes | Sequence[Axes] | None = None) -> Figure:
-    """Draw closure rates before and after impacts, impulses, energy lost over time; `ax`: see `closedloop.figures`."""
+    """Draw the closure rate before and after each impact, its impulses, and its energy loss, against time.
+
+    For `ax` see `closedloop.figures`.
+    """
     if not has_impacts(run):
         raise ValueError("the run has no impact to draw")
     hit = hits(run)
@@ -307,7 +313,10 @@ def friction_levels(law: Any) -> list[tuple[float, str, str]]:
 
 
 def friction_bounds(run: Run) -> list[tuple[Array, str, str]]:
-    """Return the cone of friction, level times f and the viscous part b |u|: each (N,), N, name and stroke."""
+    """Return the cone of a run's friction: each level times f, and the viscous part b |u|, which f does not bound.
+
+    Each is an array (N,), N, with its name and stroke.
+    """
     law = run.scenario.friction
     b = float(getattr(law, "viscous", 0.0))
     touching = run.mode != FREE
@@ -431,7 +440,10 @@ def draw_forces(axes: Axes, run: Run) -> list[tuple[Drawn, dict[str, Any]]]:
 
 
 def draw_closed(axes: Axes, run: Run, names: tuple[str, ...]) -> None:
-    """Draw a bar for each time that a contact is closed, longest ones first: dark as it sticks, light as it slides."""
+    """Draw a bar for each time that a contact is closed, by its name: dark as it sticks or rolls, light as it slides.
+
+    Of more than a page has room for, those that are closed longest.
+    """
     from matplotlib.patches import Patch
 
     closed = run.link_modes != FREE

@@ -41,9 +41,10 @@ def frame_of(run: Run) -> Array:
 
 
 def directions(run: Run) -> Array:
-    """Return unit vectors along the path in the surface (N, 3), base frame, without the motion of the surface.
+    """Return unit vectors along the path in the surface (N, 3), base frame; at rest that of the motion before.
 
-    At rest that of the motion before, before the first that of the first; of a reference that never moves it is t1.
+    Before the first motion it is that of the first; of a reference that never moves along the surface it is t1. On a
+    surface that moves it is the motion along the surface, without that of the surface.
     """
     normals = run.surface_normal
     step = np.gradient(run.reference_tip, axis=0) if len(run) > 1 else np.zeros_like(run.reference_tip)
@@ -88,7 +89,10 @@ SMALL, ROUNDING = 0.01, 1e-12
 
 
 def tip_position(run: Run, ax: Axes | Sequence[Axes] | None = None) -> Figure:
-    """Draw the tip's position (Fig. 4), its displacement and small parts of that; `ax`: see `closedloop.figures`."""
+    """Draw the tip's position against time (Fig. 4), its displacement from the start, and small components of that.
+
+    For `ax` see `closedloop.figures`.
+    """
     moved = run.position - run.position[0]
     sizes = np.max(np.abs(moved), axis=0)
     if style.length_unit(float(sizes.max()))[1] == "mm":

@@ -20,7 +20,10 @@ GAP = 1.0
 
 
 class Page(Figure):
-    """A figure that is laid out and saved with these of matplotlib's settings as they were when it was made."""
+    """A figure that is laid out and saved with matplotlib's settings at the time at which it was made.
+
+    `settings`: the names of these settings.
+    """
 
     def __init__(self, settings: Any, **more: Any) -> None:
         self.settings = {name: mpl.rcParams[name] for name in settings} | TRUETYPE

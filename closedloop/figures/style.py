@@ -84,7 +84,10 @@ def page_width() -> float:
 
 
 def new_figure(height: float = 3.4) -> Figure:
-    """Return an empty figure as wide as `styled` says, `height` inches high at full width, lower by its square root."""
+    """Return an empty figure as wide as `styled` says, `height` inches high at the width of a page.
+
+    A narrower figure is lower by the square root of that: text keeps its size.
+    """
     from closedloop.figures.page import Page
 
     width = page_width()
@@ -97,7 +100,9 @@ def panels(
 ) -> tuple[Figure, list[Axes]]:  # fmt: skip
     """Return a figure, and its panels, one above the other, by default over one time; or given axes as panels.
 
-    One Axes is the first panel, and nobody sees the others. Raises ValueError if as many are given as are no panels.
+    Where one Axes is given, it is the first panel; the others are drawn, and nobody sees them.
+
+    Raises ValueError if as many axes are given as are no number of panels.
     """
     if ax is None:
         figure = new_figure(height)
@@ -172,7 +177,10 @@ class Interval(NamedTuple):
 
 
 def motion(scenario: Scenario) -> tuple[float, float] | None:
-    """Return when the reference starts and stops to move, s; None if never, or if its class is not known here."""
+    """Return the instants, s, at which the reference starts and stops to move.
+
+    None if it never moves, or is a user's path in a run file, not named in this process.
+    """
     if isinstance(scenario.reference, Absent):
         return None
     segments = tip_path(scenario.reference, np.zeros(3), path_normal(scenario.reference, scenario.surface)).segments
@@ -256,7 +264,9 @@ def dress(
 ) -> None:  # fmt: skip
     """Give a panel over the time of these rows its title, axes, marks, bands and events.
 
-    `label_marks`, which adds the robot's name, and `show_events`: off for all but one panel over the same time.
+    `title`: the robot's name is added where marks are labelled.
+    `label`: of the vertical axis, with its unit.
+    `label_marks`, `show_events`: off for all but one of several panels over the same time.
     """
     axes.set(title=f"{title} ({run.model.name})" if label_marks else title, xlabel=TIME, ylabel=label)
     begin = float(run.time[rows][0])
@@ -320,7 +330,10 @@ def legend_beside_title(axes: Axes, handles: Sequence[Artist] | None = None) -> 
 def legend_outside(
     figure: Figure, where: str, handles: Sequence[Artist], most: int = 20, title: str = "", axes: Axes | None = None
 ) -> None:
-    """Put a legend above or below ("lower center") a page's panels; on a user's figure into `axes`, if given."""
+    """Put a legend above ("upper center") or below ("lower center") all panels of a page.
+
+    On a user's figure it is put into `axes`, if that is given, and left out otherwise.
+    """
     found, labels = _labelled(handles)
     page: Any = figure
     if not found:
@@ -336,12 +349,19 @@ def _labelled(handles: Sequence[Artist]) -> tuple[list[Artist], list[str]]:
 
 
 def position_rounding(run: Run) -> float:
-    """Return down to which size, m, a distance of the tip is rounding: e = n·r − d errs by 4 ε of |r|."""
+    """Return the size, m, down to which a distance computed from the tip's position is rounding.
+
+    e = n·r − d is a sum of a few products as large as the tip's distance from the base: 4 ε of it.
+    """
     return 4.0 * float(np.finfo(float).eps) * float(np.max(np.abs(run.position), initial=0.1))
 
 
 def mark_rounding(axes: Axes, size: float, level: float, factor: float) -> None:
-    """Draw the level of rounding, m, where the largest value drawn is near it; `factor`: of the unit drawn."""
+    """Draw the level of rounding, where what is drawn is no larger than some of it.
+
+    `size`: largest absolute value drawn, m.
+    `level`, `factor`: rounding, m, and the factor of the unit drawn.
+    """
     if size > NEAR_ROUNDING * level:
         return
     for sign in (-1.0, 1.0):

@@ -46,7 +46,10 @@ FINE = 2
 
 
 class Picture:
-    """The figure of a film, whose parts move; of a `view`, the middle (3,) and half the width, m, or of all."""
+    """The figure of a film, whose parts move; without a panel of curves that of space alone, without title or clock.
+
+    `view` is the middle (3,) and half the width, m, of what is seen; if left out all of it.
+    """
 
     def __init__(self, scene: Scene, panel: Panel | None, view: tuple[Array, float] | None = None) -> None:
         self.scene, run = scene, scene.run
@@ -87,7 +90,10 @@ class Picture:
         self._still = self._canvas.copy_from_bbox(figure.bbox)
 
     def pixels(self, row: int, said: str = "") -> NDArray[np.uint8]:
-        """Return a row of the run as pixels (height, width, 4), with `said` in the corner, beside curves the time."""
+        """Return the picture of a row of the run: red, green, blue and opacity of its pixels (height, width, 4).
+
+        `said` stands in its corner; beside curves it is the time.
+        """
         scene, run, there = self.scene, self.scene.run, self.scene.joint_places(row)
         self._canvas.restore_region(self._still)
         self._done.set_data_3d(*run.position[: row + 1 : max(1, row // 300)].T)
@@ -145,7 +151,10 @@ class Picture:
 
 
 class Solids:
-    """Shapes as triangles, of which the nearest is seen at each point; `colour` is in place of their own."""
+    """Shapes as triangles, of which the nearest is seen at each point of the picture.
+
+    `colour`: of all, in place of their own.
+    """
 
     def __init__(
         self, shapes: Sequence[Shape], colour: tuple[float, float, float] | None = None, opacity: float = 1.0
@@ -165,9 +174,10 @@ class Solids:
         return np.einsum("kij,kj->ki", axes[self._joints], self._vertices) + origins[self._joints]
 
     def seen(self, space: Any, axes: Array, origins: Array) -> NDArray[np.uint8]:
-        """Return what is seen of them in the panel `space`, where the joints' frames are so, in the light of the page.
+        """Return what is seen of them in the panel `space`, where the joints' frames are so.
 
-        Red, green, blue and opacity (height, width, 4), the first row below.
+        Red, green, blue and opacity (height, width, 4) of the panel's pixels, the first row below. The light is that of
+        the page.
         """
         points, box = self.points(axes, origins), space.bbox
         projected = np.column_stack([points, np.ones(len(points))]) @ np.asarray(space.M).T
@@ -194,9 +204,11 @@ class Solids:
 
 
 def nearest_triangles(corners: Array, size: tuple[int, int]) -> NDArray[np.int64]:
-    """Return the number of the nearest triangle at each point of a picture (height, width), -1 for none.
+    """Return the number of the nearest triangle that covers each point of a picture (height, width), -1 for none.
 
-    Each row of points is cut by a triangle's edges. `corners` (k, 3, 3): points to the right and up, and the depth.
+    Each row of points that a triangle reaches is cut by its three edges: what is left are the points that it covers.
+
+    `corners` (k, 3, 3): x to the right and y upwards, points of the picture; depth, larger is farther.
     """
     height, width = size
     x, y, z = np.moveaxis(corners, 2, 0)

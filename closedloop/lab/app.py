@@ -162,7 +162,10 @@ class Answers:
         return PINOCCHIO
 
     def _compile(self, scenario: Scenario, model: RobotModel, engine: str) -> bool:
-        """Compile what a run of these kinds needs, and say so if it takes time; return whether they are new."""
+        """Have compiled what a run of these kinds needs, here and now, and say so if it takes time.
+
+        Return whether these kinds are new.
+        """
         sections = (getattr(scenario, name) for name in type(scenario).model_fields)
         own = (str(getattr(section, "kind", "")) for section in sections)
         kinds = engine, scenario.surface.contact, *own, scenario.time.integrator
@@ -230,13 +233,19 @@ STOPPED = "The lab was closed. What is shown stays; open the lab again to go on.
 
 
 class Lab(Pages):
-    """A lab of one scenario, served to a browser; the next free port is taken if `port` is in use.
+    """A lab of one scenario, served to a browser.
 
-    `front`: whether the page begins with the scenarios that ship, to choose one; `ghosts`: until one is chosen.
-    `act`, `details`, `map_work`: the parts that know the whole, see `closedloop.lab.start.begun`.
-    `after_show`: functions that are called with each `Answer` whose curves were sent.
-    `folder`: where folders for files are made; "out" in the current folder if None.
-    Raises ScenarioError or ModelError if the scenario is at fault, OutputError if it cannot listen there.
+    `law`: a user's law, see `closedloop.simulate`.
+    `port`: the next free one is taken if it is in use.
+    `dark`: whether the page is dark, whatever the system prefers.
+    `front`: whether the page begins with the scenarios that ship, to choose one.
+    `ghosts`: bodies that are shown beside those of each run, until another scenario is chosen.
+    `act`, `details`, `map_work`: the parts that know the whole: `closedloop.lab.start.act`,
+        `closedloop.lab.details.Details`, `closedloop.lab.mapping.MapWork`; see `closedloop.lab.start.begun`.
+    `after_show`, list of callable: called with each `Answer` whose curves were sent.
+    `folder`, Path or None: where folders for files are made; "out" in the current folder if None.
+    Raises ScenarioError or ModelError if the scenario that it begins with is at fault.
+    Raises OutputError if it cannot listen there.
     """
 
     def __init__(

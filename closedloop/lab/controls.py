@@ -127,7 +127,10 @@ class Control:
         return min(max(float(self.own), self.low), self.high) if self.form == "linear" else self.own
 
     def read(self, shown: Any) -> Any:
-        """Return the value of the key for what the control shows, None: left out; raise ValueError if it cannot."""
+        """Return the value of the key for what the control shows; None: left out.
+
+        Raises ValueError if the control cannot show that: what comes from a browser may be anything.
+        """
         if self.form == "choice":
             if shown not in self.options:
                 raise ValueError(f"{self.key}: must be one of {', '.join(self.options)}")
@@ -177,7 +180,11 @@ class Control:
 
 
 def controls(scenario: Scenario, section: str, model: RobotModel | None = None) -> list[Control]:
-    """Return the controls of a section, its kind first, then the force; without a `model` lists are counted."""
+    """Return the controls of a section of a scenario, that of its kind first, then the force if it has one.
+
+    `section`: such as "law".
+    `model`: its joints' names and bounds; without it lists are counted.
+    """
     held = getattr(scenario, section)
     if table_type(section):
         return list(_of_tables(section, held or (), scenario))
@@ -208,7 +215,7 @@ def controls(scenario: Scenario, section: str, model: RobotModel | None = None) 
 def _of_tables(section: str, tables: Sequence[Section], scenario: Scenario) -> Iterator[Control]:
     """Yield the controls of the numbers of each table of a list, with the table's name in their label.
 
-    Before them one for each number that several tables all have alike: it sets all.
+    Before them, where there are several tables: one for each number that all have, and have alike. It sets all.
     """
     first = tables[0] if len(tables) > 1 else None
     for key, field in type(first).model_fields.items() if first is not None else ():
@@ -346,7 +353,10 @@ def all_controls(scenario: Scenario, model: RobotModel, law: str = "") -> dict[t
 
 
 def rows_in_groups(found: Iterable[Control], first: dict[tuple[str, int | None], Any], changes: Changes) -> list[Row]:
-    """Return the groups that have controls, each with its rows; `first` has the values with which they began."""
+    """Return the groups that have controls, in order, each with its rows.
+
+    `first`: the value with which each began, by key and number of the entry.
+    """
     groups: dict[str, list[Row]] = {name: [] for name in ORDER}
     opened = set(OPEN)
     for control in found:

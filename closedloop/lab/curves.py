@@ -346,7 +346,10 @@ def _note(run: Run, errors: Array, times: float = 1.0) -> str:
 
 
 def _loops(run: Run) -> Panel:
-    """Return how far each loop joint is from closed, in `MOST_LOOPS` rows at most: its errors have no jumps."""
+    """Return how far each loop joint is from closed: the largest error of its rows, be it a length or an angle.
+
+    In `MOST_LOOPS` rows at most: an error of positions has no jumps, and all rows take longer than the screen shows.
+    """
     rows = evenly(len(run), MOST_LOOPS)
     errors = np.abs(errors_in(run, rows))
     parts = np.split(errors, np.cumsum([loop.rows for loop in run.model.loops])[:-1], axis=1)

@@ -219,7 +219,10 @@ def focus(scene: Scene) -> tuple[NDArray[np.float64], float]:
 
 
 def frames(scene: Scene, rows: Rows, between: Callable[[], object] = lambda: None) -> Message:
-    """Return a replay: instants, places (quaternion, origin), forces and tails; `between` runs after every few rows."""
+    """Return a replay: instants, places of joints, surface and marks (quaternion, origin), forces and their tails.
+
+    `between` is called after every few rows.
+    """
     run = scene.run
     arrows: list[Any] = []
     places: list[NDArray[np.float64]] = []
@@ -241,7 +244,10 @@ def frames(scene: Scene, rows: Rows, between: Callable[[], object] = lambda: Non
 
 
 def _shapes(scene: Scene) -> Iterator[tuple[int, str, Shape, Message]]:
-    """Return a replay: instants, places (quaternion, origin), forces and tails; `between` is run every few rows."""
+    """Yield the robot's shapes, the marks of its loop joints and the ghosts, each with the number of its place.
+
+    Then what it is, and for a ghost how much it hides.
+    """
     for shape in scene.shapes:
         yield shape.joint, "", shape, {}
     after = len(scene.joint_places(0)[0]) + 1

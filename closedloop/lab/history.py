@@ -72,8 +72,8 @@ def hello(scenario: Scenario, model: RobotModel, **more: Any) -> dict[str, Any]:
 def page(title: str, messages: Sequence[Any] = (), theme: str = "", nonce: str = "") -> str:
     """Return the page with messages inside; without any it opens a socket below its own address.
 
-    `theme`: "dark", "light", or "": the system's. `nonce`: by which a server's policy knows the page's script and
-    style.
+    `theme` is "dark", "light", or "" for what the system prefers; `nonce` is the word by which the policy of a server
+    knows the page's own script and style. No text of a run can end the script it stands in.
     """
     web = files("closedloop.lab") / "web"
     parts = {
@@ -135,7 +135,10 @@ def new_folder(name: str, parent: Path | None = None) -> Path:
 
 
 def save(run: Run, command: str, parent: Path | None = None) -> list[Path]:
-    """Write a run and its scenario, with the command that repeats it, into a new folder; return the files."""
+    """Write a run and its scenario into a new folder, and return the files.
+
+    `command`, which repeats the run, stands in the scenario's first line.
+    """
     folder = new_folder(run.scenario.name, parent)
     text = f"# {printable(command)}\n{run.scenario.to_toml()}"
     return [write_whole(folder / "scenario.toml", text.encode()), run.save(folder / "run.nc")]
@@ -150,10 +153,13 @@ MOST_STEPS = 500
 
 
 class History:
-    """The changes of a scenario, with undo and redo, from `base` on.
+    """The changes of a scenario, with undo and redo.
 
+    `base`: where it began.
     `name`: the scenario as the command line takes it: a shipped name, a file.
-    `given`, `words`: the overrides that `base` was read with, and more words, such as ``--law my_laws:soft``.
+    `given`: the overrides that `base` was read with, beside the name.
+    `words`: more words of the command line, such as ``--law my_laws:soft``.
+    `now`: the time, s.
     """
 
     def __init__(
@@ -230,9 +236,10 @@ def quoted(word: str) -> str:
 
 
 def in_words(scenario: Scenario) -> tuple[str, Changes]:
-    """Return how the command line names a scenario made in Python: a name, and the keys to override.
+    """Return how the command line names a scenario that was made in Python: a name, and the keys to override.
 
-    That is the shipped scenario of this name with what differs; where that is not all, a file, which `save` writes.
+    That is the shipped scenario of this name with what differs from it; where nothing on a command line gives it, a
+    file of this name, which `save` writes.
     """
     own = scenario.model_dump(mode="python")
     given: Changes = {}
@@ -309,7 +316,10 @@ class Pins:
 
 
 def compared(pins: Sequence[Pin], run: Run, changes: Changes) -> list[tuple[str, list[str]]]:
-    """Return the rows of the table: a key that differs or a value, what it is in each pin and now, and by how much."""
+    """Return the rows of the table: a key that differs or a value, and what it is in each pin and now.
+
+    A value that is a number has its difference from the present run beside it.
+    """
     every = [*((pin.run, pin.changes) for pin in pins), (run, changes)]
     keys = dict.fromkeys(key for _, made in every for key in made)
     rows = []
@@ -385,8 +395,10 @@ class Pages:
 class Shown(Pages):
     """The page of what another part of the program simulates: it is told what to draw, and moves nothing there.
 
-    `host`, `port`: where it listens; the next free port is taken if this one is in use; OutputError if none can be.
+    `title`: the page's title until a message says another.
+    `host`, `port`: where it listens; the next free port is taken if this one is in use.
     `run`: returns the message of the run for a page, by the part of the time and the columns that it has chosen.
+    Raises OutputError if it cannot listen there.
     """
 
     def __init__(

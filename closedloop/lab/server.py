@@ -49,10 +49,12 @@ SHARE, LONG = 20.0, 0.3
 class Newest(Generic[Q, A]):
     """A thread that computes the newest request.
 
-    `compute`, `show`: from a request to its answer, and what takes each answer, both in the thread; also an answer that
-    a newer request has overtaken is shown, so that something moves.
+    `compute`: from a request to its answer; it runs in the thread.
+    `show`: takes each answer, in the thread. An answer is shown even if a newer request has come meanwhile, so that
+        something moves while requests come faster than they are computed.
     `rest`, `most`: wait until no other request has come for `rest`, s, but no longer than `most` after the first that
-    waits, or `SHARE` times what the work took last; on and on if it took more than `LONG`.
+        waits, or `SHARE` times what the work took last: work that takes long leaves the time to others, and waits on if
+        it takes more than `LONG`.
     `held`: whether something goes on that will bring another request. Then it does not rest.
     """
 
@@ -141,7 +143,8 @@ def in_notebook() -> bool:
 def proxied(port: int) -> str:
     """Return the path at which Jupyter's own server passes this port on, "" if it does not.
 
-    A browser on another computer reaches that server alone; it passes ports on if jupyter-server-proxy is installed.
+    Where the notebook runs on another computer, as over SSH, the browser reaches Jupyter's server alone. It passes
+    ports on if jupyter-server-proxy is installed: ``/proxy/8080/`` below the server's base address.
     """
     if find_spec("jupyter_server_proxy") is None:
         return ""
@@ -259,8 +262,10 @@ class Server:
     """The lab's server: its page to those who name the token, and a socket below the same address.
 
     `host`, `port`: where it listens; at the next free port if that one is taken.
+    `token`: what lets in.
     `page`: returns the page, given the word (nonce) that its own scripts and styles carry.
-    `opened`, `said`, `closed`: called with a `Client` as its page opens, speaks ({}: no JSON object) and is gone.
+    `opened`, `said`, `closed`: called with a `Client` when its page opens, with it and what its page says, {} if that
+        is no JSON object, and when it is gone.
     `framed`: whether the page may stand inside another one, as that of a notebook.
     Raises OutputError if it cannot listen there.
     """
@@ -370,9 +375,10 @@ class Server:
 
 
 def foreign(headers: Mapping[str, str], loopback: bool) -> bool:
-    """Whether a request comes from a page that is not the lab's own, as "Origin" says.
+    """Whether a request comes from a page that is not the lab's own.
 
-    On loopback "Host" must be a name of this computer, too: a name elsewhere may be made to lead here.
+    A browser names the page in "Origin", and lets any page open a socket to this computer. On loopback "Host" must be a
+    name of this computer, too: a name elsewhere may be made to lead here.
     """
     host, origin = headers.get("Host", ""), headers.get("Origin")
     if loopback and not is_loopback(urlsplit(f"//{host}").hostname or ""):

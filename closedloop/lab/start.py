@@ -307,7 +307,11 @@ def _begin(
 
 
 def open_in_browser(url: str) -> None:
-    """Open an address in a browser by a file of this user alone: all can read the words of a command line."""
+    """Open an address in the user's browser, without naming it where other users see it.
+
+    The words of a command line are shown to all: the browser is given a file that only this user can read, and that
+    sends it on.
+    """
     folder = tempfile.mkdtemp(prefix="closedloop-lab-")  # of this user alone
     sent_on = f'<meta charset="utf-8"><meta http-equiv="refresh" content="0; url={html.escape(url)}">\n'
     page = write_whole(Path(folder) / "open.html", sent_on.encode())

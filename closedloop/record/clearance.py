@@ -44,9 +44,10 @@ class Clearance(NamedTuple):
 
 
 class Solid(NamedTuple):
-    """A shape of a link: its name, the joint that carries it, 0 the base, and its pose (4, 4) in that frame.
+    """A shape of a link: the link's name, the joint that carries it, 0 the base, and its pose (4, 4) in that frame.
 
-    Of a mesh the vertices are those of its hull. `made`: as coal has it; `reach`: of a ball about its origin, m.
+    Of a mesh the vertices are the corners of its convex hull. `made` is the shape as coal has it, and `reach` the
+    radius of a ball about its origin that holds it, m.
     """
 
     link: str

@@ -60,7 +60,14 @@ def write_netcdf(
     path: Path, dimensions: Mapping[str, int], variables: Mapping[str, Variable], attributes: Mapping[str, Any],
     then: Callable[[BinaryIO], None],
 ) -> Path:  # fmt: skip
-    """Write a NetCDF-4 file whole, or not at all; `then` writes what goes behind it. Raises OutputError."""
+    """Write a NetCDF-4 file whole, or not at all.
+
+    `dimensions`: lengths by name.
+    `variables`: by name; one with the name of a dimension has that dimension alone.
+    `attributes`: the file's own attributes.
+    `then`: writes what goes behind it.
+    Raises OutputError.
+    """
     import h5py
 
     def write(out: Any) -> None:
@@ -149,10 +156,13 @@ def unsealed(whole: memoryview) -> memoryview | None:
 
 
 def read_sealed(path: Path, names: list[str]) -> tuple[Attributes, Columns]:
-    """Return the attributes of a file that are text or one number, and its columns: those named, and those of `added`.
+    """Return the attributes of a file that are text or one number, and those of the columns named that it has.
 
-    Raises RunFileError, whose message does not name the file, if it is none, or damaged, or a column is no numbers, too
-    large, or in another file; OSError if the system refuses it.
+    Columns that the attribute `added` names are read as well.
+
+    Raises RunFileError if it is no file, or damaged, or a column is no numbers, larger than the file can hold, or not
+        in the file itself; the message does not name the file.
+    Raises OSError if the system refuses it.
     """
     try:
         found = path.stat()
@@ -281,8 +291,10 @@ def question(
 
 
 def identity_of(scenario: Scenario, changes: Mapping[str, Sequence[Any]], engine: str) -> dict[str, Any]:
-    """Return what the numbers of a scenario's runs with these `changes` of keys depend on, by the names `NAMES`.
+    """Return what the numbers of a scenario's runs depend on, as JSON has it, by the names `NAMES`.
 
+    `changes`: values of the keys that change from run to run.
+    `engine`: see `closedloop.simulate`.
     Raises ModelError if the robot is at fault, and no other is asked for.
     """
     # The text of a user's class, or a robot's file, may change between a kill and what follows.
@@ -390,7 +402,8 @@ def not_finite(columns: Mapping[str, NDArray[Any]]) -> list[str]:
 def checksum(found: Mapping[str, Any], columns: Mapping[str, NDArray[Any]]) -> str:
     """Return the SHA-256 of the attributes of a file, its own left out, and of the columns of a run that it has.
 
-    Each attribute, sorted, as the JSON of [name, value]; each column as that of [name, type, shape], and its bytes.
+    Each attribute in order of the alphabet as the JSON of [name, value]; each column as that of [name, type, shape] and
+    its bytes, rows first.
     """
     total = hashlib.sha256()
     for name in sorted(found):

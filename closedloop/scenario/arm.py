@@ -59,7 +59,10 @@ def start_posture(scenario: Scenario, model: RobotModel) -> Array:
 
 
 def start_positions(scenario: Scenario, model: RobotModel) -> Array:
-    """Return q (nq,) at the start: `start.q`, or home; what moves freely and is left out is where its [[body]] is."""
+    """Return q (nq,) at the start: that of `start.q`, or the home posture with each [[body]] where it is placed.
+
+    A `start.q` may leave out what moves freely, which is then where the model, or its [[body]], has it.
+    """
     given, names = scenario.start.q, model.coordinate_names
     if given is not None and len(given) == len(names):
         return np.array(given)
@@ -142,7 +145,10 @@ def robot_of(scenario: Scenario, model: RobotModel) -> Robot:
 
 
 def moved_frames(scenario: Scenario, robot: Robot) -> tuple[MovedFrame, ...]:
-    """Return each [[mocap]] where the robot has it; ScenarioError if no loop holds it, fixed to the world."""
+    """Return each [[mocap]] of a scenario where the robot has it.
+
+    Raises ScenarioError if it is no frame that is fixed to the world, two are one, or no loop joint holds onto one.
+    """
     found: list[MovedFrame] = []
     for k, section in enumerate(scenario.mocap or ()):
         where = f"mocap.{k}.frame = {section.frame!r}"
@@ -162,7 +168,10 @@ def moved_frames(scenario: Scenario, robot: Robot) -> tuple[MovedFrame, ...]:
 
 
 def joint_friction_of(scenario: Scenario, model: RobotModel) -> JointFriction:
-    """Return the law of friction in the joints: the scenario's, or the file's, of loops always, else on request."""
+    """Return the law of friction in the joints: the scenario's, or that of the robot's file.
+
+    What a loop joint of the file says of friction acts; what a joint says, on request.
+    """
     if not scenario.robot.friction:
         damping, friction = loop_dynamics(model)
         if not (np.any(damping) or np.any(friction)):
@@ -183,13 +192,19 @@ def joint_friction_of(scenario: Scenario, model: RobotModel) -> JointFriction:
 
 
 def stop_limits(scenario: Scenario, model: RobotModel) -> tuple[Array, Array]:
-    """Return where stops are, lower and upper, (n,), rad (m), infinite: none; of loops always, else on request."""
+    """Return where the joints have hard stops, lower and upper, (n,), rad (m), infinite where there is none.
+
+    The limits of a loop joint always are stops; those of the robot's joints if the scenario says so.
+    """
     there = np.array([scenario.robot.stops or name in model.loop_coordinates for name in model.joint_names])
     return np.where(there, model.position_lower, -np.inf), np.where(there, model.position_upper, np.inf)
 
 
 def acting_tendons(scenario: Scenario, model: RobotModel) -> Array:
-    """Return what of the robot's tendons rubs and stops, on request, see `robot_models.tendon.rough_tendons`."""
+    """Return what of the robot's tendons rubs and stops, see `robot_models.tendon.rough_tendons`.
+
+    Like the friction and the stops of joints both are on request.
+    """
     return rough_tendons(model.tendons, model.joint_names, scenario.robot.friction, scenario.robot.stops)
 
 
@@ -207,7 +222,10 @@ def without_tools(model: RobotModel) -> RobotModel:
 
 
 def with_all_entries(scenario: Scenario, model: RobotModel) -> Scenario:
-    """Return a scenario whose start, law and friction have entries for joints without any, as free bodies' friction."""
+    """Return a scenario whose start, law and friction have an entry for each joint, if only those without one lack it.
+
+    Of friction these are the free bodies alone, which have none. Lists of any other length are left as they are.
+    """
     names, driven = model.loop_coordinates, model.joint_names if model.drives is None else model.drives
     given = np.array([name not in names or name in driven for name in model.joint_names], dtype=bool) & ~model.free
     count = int(given.sum())
@@ -384,7 +402,10 @@ def hull_of(vertices: Array) -> Any:
 
 
 def _is_hollow(shape: CollisionShape) -> bool:
-    """Whether a mesh's corners and triangles' centroids, which tell a notch, are inside its hull anywhere."""
+    """Whether a mesh's surface, at its corners and triangles' centroids, is inside its convex hull anywhere.
+
+    The centroids tell a flat part with a notch, whose corners are all on its two faces.
+    """
     hull = hull_of(shape.vertices)
     if hull is None:
         return False
@@ -405,8 +426,10 @@ def points_of_boxes(one: CollisionShape, other: CollisionShape, link: str, again
 
 
 def pair_of(one: CollisionShape, other: CollisionShape, link: str, against: str) -> Parts:
-    """Return the contacts of two shapes, box, sphere or capsule: balls and corners that touch, edges and rods that
-    cross.
+    """Return the contacts of two shapes, a box, a sphere or a capsule each, as keys of their sections.
+
+    Balls and corners of either touch the other, but of a sphere, which is a ball itself. The edges of a box, or the rod
+    of a capsule, cross those of the other.
     """
     parts: Parts = []
     if other.kind != "sphere" or one.kind == "sphere":

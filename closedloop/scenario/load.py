@@ -44,7 +44,11 @@ LOOKED_AT = 100
 
 
 class Variants:
-    """A scenario and the dotted keys that change from run to run."""
+    """A scenario and the keys that change from run to run.
+
+    `scenario`: what all runs have in common.
+    `keys`: dotted keys, as `load_scenario` takes them.
+    """
 
     def __init__(self, scenario: Scenario, keys: Sequence[str]) -> None:
         self.base, self.keys = scenario, tuple(keys)
@@ -75,7 +79,11 @@ class Variants:
         return name in type(held).model_fields and key not in families()
 
     def look(self, points: Sequence[Sequence[Any]]) -> Scenario:
-        """Return the first of `LOOKED_AT` scenarios that can be read; raises the first's fault if none can be."""
+        """Return the first of these scenarios that can be read; see `LOOKED_AT`.
+
+        Raises ScenarioError: what is wrong with the first, if none of those looked at can be read: a key is unknown,
+            most likely. An unforeseen error is raised as it is.
+        """
         first: Exception | None = None
         for at in sorted(set(np.linspace(0, len(points) - 1, LOOKED_AT).round().astype(int).tolist())):
             try:
@@ -87,7 +95,10 @@ class Variants:
 
 
 def _sections_with(sections: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Section]:
-    """Return those of the sections that have other values of keys; ValidationError if a value is wrong."""
+    """Return those of the sections that have other values of keys.
+
+    Raises ValidationError if a value is wrong.
+    """
     found: dict[str, Section] = {}
     for key, value in changes.items():
         name, _, field = key.partition(".")
@@ -110,7 +121,11 @@ def replaced(scenario: Scenario, changes: Mapping[str, Any]) -> Scenario:
 
 
 def refuse_lost(given: Mapping[str, Any], kinds: Iterable[tuple[str, Any]]) -> None:
-    """Refuse an override of all runs that one of the `kinds` which change from run to run does not know."""
+    """Refuse a key given beside kinds that change from run to run, if one of these kinds does not know it.
+
+    `given`: the overrides that all runs have in common.
+    `kinds`: keys that change, and one of their values each; only those that pick a kind matter.
+    """
     faults: dict[str, tuple[str, str]] = {}
     for key, kind in kinds:
         section, _, last = key.partition(".")
@@ -129,7 +144,10 @@ def refuse_lost(given: Mapping[str, Any], kinds: Iterable[tuple[str, Any]]) -> N
 
 
 def split_overrides(arguments: list[str]) -> tuple[dict[str, Any], list[str]]:
-    """Take --SECTION.KEY VALUE, or =VALUE, and whole lists of tables out of the arguments; return them and the rest."""
+    """Take --SECTION.KEY VALUE and --SECTION.KEY=VALUE out of the arguments; return them as overrides, and the rest.
+
+    A section that is a list of tables may be given whole: --external_force '[{ force = [0, 0, 5], start = 1.0 }]'.
+    """
     overrides: dict[str, Any] = {}
     rest: list[str] = []
     words = iter(arguments)
@@ -157,7 +175,10 @@ def _listed(text: str) -> Any:
 
 
 def toml_value(text: str) -> Any:
-    """Read a value as TOML; a list of numbers needs no brackets, and what is no TOML is text, without quotes."""
+    """Read a value as TOML would; what is not TOML is text, so that --robot.model panda needs no quotes.
+
+    A list of numbers needs no brackets: --surface.normal 0,0,1.
+    """
     try:
         document = tomllib.loads(f"value = {text}")
     except (ValueError, RecursionError):  # no TOML, a number of thousands of digits, a thousand brackets
@@ -264,8 +285,9 @@ def parse_scenario(
 ) -> Scenario:  # fmt: skip
     """Read a scenario from TOML text; `where` names its origin in messages. See `load_scenario`.
 
-    A robot's file is looked up from `folder`. With `keep_absent` a user's class not named in this process is kept for
-    inspection, see `closedloop.base.families.Absent`.
+    A robot's file is looked up from `folder`, that of the scenario's own file, if it has one. With `keep_absent` a
+    user's class not named in this process is kept as it is, for inspection and not to be run: see
+    `closedloop.base.families.Absent`.
     """
     try:
         data = toml_tables(text)
@@ -328,7 +350,10 @@ def _standing(overrides: Mapping[str, Any]) -> list[str]:
 
 
 def _turn(key: str) -> tuple[int, bool]:
-    """Return when a key is laid over the file: sections, kinds, which drop keys, then others; for all tables first."""
+    """Return when a key is laid over the file: sections before kinds, and kinds, which drop keys, before others.
+
+    Of these what is for all tables of a list comes before what is for one.
+    """
     return 2 if not key.endswith(".kind") and "." in key else int("." in key), f".{tables.ALL}." not in key
 
 

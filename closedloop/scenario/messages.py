@@ -292,7 +292,10 @@ def elsewhere(word: str) -> str | None:
 
 @lru_cache(maxsize=8)
 def _fields(users: tuple[str, ...]) -> dict[str, list[FieldInfo]]:
-    """Return key -> its field in every kind that has one of its own; remembered by the `users` classes."""
+    """Return key -> its field in every kind that has one of its own.
+
+    `users` are the users' classes that have keys of their own (`users_named`): what is remembered depends on them.
+    """
     found: dict[str, list[FieldInfo]] = {}
     for section in Scenario.model_fields:
         table = table_type(section)
@@ -321,7 +324,10 @@ def unchanged(section: Section, name: str, value: Any) -> str:
 
 
 def key_unit(key: str, scenario: Scenario | None = None) -> str:
-    """Return the unit of a key, of a revolute joint, "" if it has none or its kinds differ without a scenario."""
+    """Return the unit of a dotted key, "" if it has none or if its kinds differ and there is no scenario with one.
+
+    Where a prismatic joint has another, it is that of a revolute one.
+    """
     section, _, name = key.partition(".")
     own = getattr(type(getattr(scenario, section, None)), "model_fields", {}).get(name)
     fields = _fields_of(key) if own is None else [own]
@@ -427,7 +433,10 @@ def describe_section(section: str) -> str:
 
 
 def explain_key(key: str) -> str:
-    """Return what a key is: meaning, unit, values, bounds, default and kinds; of a section the help of that."""
+    """Return what a key is: its meaning, unit, values, bounds and default, and the kinds that have it.
+
+    Of a word without a dot, the help of the section with that name.
+    """
     key = described_key(key)
     section, dot, name = key.partition(".")
     if not dot:

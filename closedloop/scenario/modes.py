@@ -70,9 +70,12 @@ class Feedback(NamedTuple):
 
 
 def growth(feedback: Feedback, integrator: str, h: float, hold: int = 0) -> float:
-    """Return the spectral radius of one step h, s, or of one sample held for `hold` steps, 0: none: stable up to 1.
+    """Return the spectral radius of one step, or of one held sample: stable up to 1.
 
-    An adaptive integrator is stable with any gains but those of a held torque.
+    `integrator`: see `closedloop.mechanics.integrators`; an adaptive one is stable with any gains but those of a held
+        torque.
+    `h`: step, s.
+    `hold`: steps for which a sampled torque is held; 0: the law is evaluated at every stage.
     """
     K, D = h * h * feedback.stiffness, h * feedback.damping
     m, eye = K.shape[0], np.eye(K.shape[0])
@@ -99,7 +102,11 @@ def _early(integrator: str) -> float:
 
 
 def gains_fault(scenario: Scenario, robot: Robot) -> str:
-    """Return a line about gains of a law that are unstable with the step of a scenario, or an empty string."""
+    """Return a line about gains of the scenario's law that are unstable with its step, or an empty string.
+
+    `scenario`: one that can be prepared.
+    `robot`: its robot with its tip.
+    """
     h, period = scenario.time.step, scenario.law.sample_period
     hold = round(period / h) if period else int(scenario.reads_encoders)
     start = getattr(scenario.law, "pd_start", None)
@@ -214,7 +221,10 @@ class Sliding(NamedTuple):
 
 
 def without_normal(mobility: Array, normal: Array, push: Array) -> Array:
-    """Return what a contact that pushes, friction and all, (n,), leaves of H⁻¹ (n, n) with this normal (n,)."""
+    """Return what a contact that pushes leaves of H⁻¹ (n, n), where the tip cannot move along the normal.
+
+    A push (n,) along the joints has friction in it, as the normal (n,) has not: a torque that presses also brakes.
+    """
     along = float(normal @ mobility @ push)
     return mobility - np.outer(mobility @ push, normal @ mobility) / along if along > 0.0 else mobility
 
@@ -472,9 +482,14 @@ def unresolved(
 ) -> list[str]:  # fmt: skip
     """Return a line for each fast part that the step does not resolve, with a step that would; not of the law alone.
 
-    `q` (n,), `normal` (3,), `depth`: a posture, the unit normal there, base axes, and how deep the tip is in there, m.
-    `sliding`, `pressed`: return where the tip slips with the most friction, and where contacts of links press.
+    `scenario`, `robot`: what is run, and its robot with its tip.
+    `q` (n,): a posture.
+    `normal` (3,): the unit normal of the surface there, base axes.
+    `depth`: how deep the tip is in the surface there, m.
+    `sliding`: returns where the tip slips with the most friction; called only if there is viscous friction in joints.
     `own_law`: whether the law is a user's, of whose feedback nothing is known.
+    `pressed`: returns where contacts of links press; called only if one is soft, or has bristles or viscous
+        friction.
     """
     soft, elastic = scenario.compliance.kind != "none", scenario.transmission.elastic
     in_joints = joint_friction_of(scenario, robot.model)
@@ -492,7 +507,10 @@ def unresolved(
 
 
 def _of_contacts(scenario: Scenario, robot: Robot, pressed: Callable[[], Pressed | None]) -> list[str]:
-    """Return a line for what of contacts of links the step does not resolve; time stepping resolves soft ones."""
+    """Return a line for what of the friction, and of the softness, of contacts of links the step does not resolve.
+
+    Time stepping takes the forces of soft contacts at the end of a step, and resolves them as well as it does the rest.
+    """
     sections, name = scenario.contact or (), scenario.time.integrator
     if name not in INTEGRATORS or INTEGRATORS[name].time_stepping:
         return []

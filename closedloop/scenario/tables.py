@@ -72,7 +72,10 @@ def rectangle(length: float, width: float, points: tuple[int, int]) -> Array:
 
 
 def points_of_face(face: dict[str, Any], name: str) -> list[list[float]]:
-    """Return the points of a face, m, axes of its link; raises ScenarioError if the face is none."""
+    """Return the points of a face, m, axes of its link.
+
+    Raises ScenarioError if the face is none.
+    """
     where = f"contact {name!r}: at"
     kinds = {"disc": "rings", "rectangle": "points"}
     kind = next((each for each in kinds if each in face), None)
@@ -100,7 +103,10 @@ def points_of_face(face: dict[str, Any], name: str) -> list[list[float]]:
 
 
 def share_of(compliance: Any, count: int, name: str) -> dict[str, Any]:
-    """Return the compliance of each of so many points of a face; ScenarioError if it has none that can be shared."""
+    """Return the compliance of each of so many points that share that of a face.
+
+    Raises ScenarioError if it has none that can be shared.
+    """
     kind = compliance.get("kind") if isinstance(compliance, dict) else None
     if kind not in SHARED:
         said = "compliance: a face presses with the pressure of a soft pad: give it as kind = "
@@ -152,7 +158,10 @@ def names_of_members(table: type[Section]) -> dict[str, OneOf]:
 
 
 def names_in(section: str, tables: Sequence[Any]) -> tuple[str, ...]:
-    """Return the names of tables, file or read: "contact 2" of the second without one; a [[mocap]]'s is its frame."""
+    """Return the names of tables, as they are in a file or read: "contact 2" of the second that has none.
+
+    A [[mocap]] is called after its frame.
+    """
     key = "frame" if section == "mocap" else "name"
     given = (table.get(key) if isinstance(table, dict) else getattr(table, key, "") for table in tables)
     return tuple(name if isinstance(name, str) and name else f"{section} {i}" for i, name in enumerate(given, 1))
@@ -185,7 +194,10 @@ def are_points(value: Any) -> bool:
 
 
 def set_points(data: dict[str, Any], section: str, tables: Sequence[dict[str, Any]], points: Sequence[Any]) -> None:
-    """Let the tables of one list of points be at another one; what is added to it is as the last of them."""
+    """Let tables of a section be at a list of points: those made of one list have this list in its place.
+
+    Where it is longer, what is added is as the last of them.
+    """
     given: list[Any] = data[section]
     names = dict(zip(map(id, given), names_in(section, given), strict=True))
     groups: dict[Any, list[dict[str, Any]]] = {}
@@ -209,7 +221,10 @@ def _at_points(tables: Sequence[dict[str, Any]], name: str, points: Sequence[Any
 
 
 def tables_of(data: dict[str, Any], key: str) -> tuple[list[dict[str, Any]], str]:
-    """Return the tables that a key is of, to be written to, and its rest; tables at fault are left to validation."""
+    """Return the tables that a key is of, to be written to, and the rest of the key; see the top of this file.
+
+    Tables at fault in themselves are left out: the validation names them.
+    """
     section, _, rest = key.partition(".")
     given = data.get(section)
     if not isinstance(given, list | tuple):
@@ -253,7 +268,11 @@ def _which(section: str, rest: str, names: Sequence[str]) -> str:
 
 
 def described_key(key: str) -> str:
-    """Return the key that describes one of a table, or of a section in it: contact.friction of contact.0.friction."""
+    """Return the key under which a key is described: that of a table without its name, that of a section in it as such.
+
+    contact.floor left.friction     contact.friction
+    contact.0.surface.radius        surface.radius
+    """
     section, _, rest = key.partition(".")
     table = table_type(section) or plain_section(section)
     if table is None or not rest:
@@ -281,7 +300,11 @@ def patches_of(sections: tuple[ContactSection, ...]) -> dict[str, list[int]]:
 
 
 def labels_of(sections: tuple[ContactSection, ...]) -> tuple[str, ...]:
-    """Return what columns call the contacts, in ASCII: "floor left" is floor_left; foot_1, foot_2 of two alike."""
+    """Return what columns call the contacts: each its own, of letters of ASCII, digits and underscores.
+
+    "floor left" is floor_left. Where several would have one label, its number stands behind each, the first section 1:
+    of two called "foot" and one called "toe", foot_1, foot_2 and toe.
+    """
     plain = [re.sub(r"[^0-9A-Za-z]+", "_", name).strip("_")[:30] for name in names_of(sections)]
     labels = [name if plain.count(name) == 1 and name else f"{name}_{i}".lstrip("_") for i, name in enumerate(plain, 1)]
     while len(set(labels)) < len(labels):  # foot, foot and foot_2

@@ -51,10 +51,15 @@ def import_function(option: str, name: str, example: str) -> Any:
 
 @contextmanager
 def importing(option: str, name: str, wanted: str) -> Iterator[tuple[str, str]]:
-    """Let MODULE:NAME be imported meanwhile, what it prints on standard error; yield the two names.
+    """Let MODULE:NAME be imported meanwhile; yield the two names.
 
-    `option`, `wanted`: for messages, such as ``--law``, and what the name should look like.
-    Raises ScenarioError, with file and line, if it does not, or cannot be imported.
+    What the module prints as it is imported goes to standard error: standard output is for results.
+
+    `option`: for messages, such as ``--law``.
+    `name`: MODULE:NAME.
+    `wanted`: what it should look like.
+    Raises ScenarioError if it does not look like that, there is no such module, or it cannot be imported; says in which
+        line of which file.
     """
     module, _, attribute = name.partition(":")
     if not (attribute and all(part.isidentifier() for part in module.split("."))):
@@ -161,7 +166,10 @@ def _keys_of_kinds() -> tuple[tuple[str, ...], list[list[str]]]:
 
 
 def member_digests(scenario: Scenario) -> dict[str, str]:
-    """Return by name the SHA-256 of each user's class in a scenario, "": unknown; ScenarioError if one is absent."""
+    """Return, for each user's class in a scenario, name -> SHA-256 of the text that it is defined in, "" if unknown.
+
+    Raises ScenarioError if it was read from a run file with a class that has not been named in this process.
+    """
     found = {}
     for key, name in members_of_users(scenario).items():
         member = _class_of(scenario, key, name)

@@ -65,7 +65,11 @@ class Request(NamedTuple):
 
 
 class States:
-    """States as one array of doubles, of `FIELDS` at `places`; `message`: the binary answer with the latest of them."""
+    """States as one array of doubles, in the order of `FIELDS`.
+
+    `places`, dict of str to slice: where each field is.
+    `message`, bytearray: the binary answer with the latest of them.
+    """
 
     def __init__(self, session: Session) -> None:
         model = session.problem.robot.model
@@ -108,7 +112,10 @@ class States:
 
 
 def wrench(state: StepState, radius: float) -> Array:
-    """Return force and moment of the surface on a tip about the base's origin (6,), N and N m; `radius`: the tip's."""
+    """Return the force of the surface on the tip and its moment about the base's origin (6,), N and N m, base axes.
+
+    The surface touches a round tip at `radius`, m, from its centre.
+    """
     normal = state.normal
     force = state.f * normal + state.friction_force
     return np.concatenate((force, np.cross(state.position - radius * normal, force)))
@@ -121,7 +128,10 @@ class JsonLines:
         self.states = states
 
     def request(self, client: Client) -> Request | str | None:
-        """Return the next message, what is wrong with it, or None if it is not whole; Gone if what follows is lost."""
+        """Return the next message of a client, what is wrong with it, or None if it is not whole yet.
+
+        Raises Gone if what follows cannot be told apart from it.
+        """
         end = client.received.find(b"\n")
         if max(end, 0 if end >= 0 else len(client.received)) > LONGEST:
             raise _too_long(len(client.received))
@@ -201,7 +211,10 @@ Codec = JsonLines | Binary
 
 
 def codec_of(client: Client, states: States) -> Codec | None:
-    """Return the codec of a client from how it begins, None if it has not said enough; Gone if in another way."""
+    """Return the codec of a client from how it begins, None if it has not said enough; magic bytes are taken.
+
+    Raises Gone if it begins in another way.
+    """
     begun = bytes(client.received[:4])
     if begun[:1] == b"{":
         return JsonLines(states)

@@ -56,7 +56,12 @@ class Request(NamedTuple):
 
 
 class Client:
-    """The connection of a client: its name, address and port, its host, and what it sent that is not taken yet."""
+    """The connection of a client.
+
+    `name`, str: its address and port.
+    `host`, str: its address.
+    `received`, bytearray: what has come and has not been taken yet.
+    """
 
     def __init__(self, sock: socket.socket, address: tuple[str, int]) -> None:
         self.host = address[0]
@@ -76,7 +81,10 @@ class Client:
         return self.sock.fileno()
 
     def receive(self) -> bool:
-        """Read what comes within `POLL`; return whether something did. Gone if the client has, or sends too much."""
+        """Read what is there, and return whether there was something within `POLL`.
+
+        Raises Gone if the client has closed its end, or sends more than is taken.
+        """
         try:
             count = self._reader.recv_into(self._chunk)
         except TimeoutError:
@@ -99,7 +107,9 @@ class Client:
     def requests(self, head: struct.Struct, bodies: Mapping[int, struct.Struct], of: str) -> Iterator[Request]:
         """Return the whole requests that have come, each begun by a head: command, number, length with the head.
 
-        Raises Gone, naming whose they are by `of`, if there is no such command, or its length is another.
+        `of` names in messages whose commands they are.
+
+        Raises Gone if there is no such command, or its length is another.
         """
         while len(self.received) >= head.size:
             command, number, size = head.unpack_from(self.received)
@@ -113,7 +123,10 @@ class Client:
             yield Request(command, number, body.unpack(self.take(size)[head.size :]))
 
     def send(self, message: bytes | bytearray) -> None:
-        """Send a message whole; raises Gone if the client does not take it."""
+        """Send a message whole.
+
+        Raises Gone if the client does not take it.
+        """
         try:
             self.sock.sendall(message)
         except OSError as error:
@@ -127,7 +140,12 @@ class Client:
 
 
 class Port:
-    """A port on which one client at a time is served; OutputError if nobody can listen there."""
+    """A port on which one client at a time is served.
+
+    `number`, int: the port.
+    `client`, Client or None: the present client.
+    Raises OutputError if nobody can listen there.
+    """
 
     def __init__(self, host: str, number: int, say: Say) -> None:
         self._say = say
@@ -185,7 +203,10 @@ class Ports:
             self._wake.send(b".")
 
     def ready(self, timeout: float | None, others: Iterable[socket.socket | Client] = ()) -> set[object]:
-        """Wait until something is to be read, or in vain; return from whom, also `others`. Stopped after `stop`."""
+        """Wait until there is something to read or the time is over, and return from whom: clients and `others`.
+
+        Raises Stopped after `stop`.
+        """
         clients = [port.client for port in self._ports if port.client is not None]
         waited: list[Any] = [*clients, *others, self._woken, *self._ports]
         found, _, _ = select.select(waited, (), (), timeout)
@@ -202,7 +223,10 @@ class Ports:
         return ready
 
     def wait_for(self, client: Client) -> None:
-        """Wait for a client and read it, quicker than `ready` and `receive`; raises Stopped or Gone as they do."""
+        """Wait until a client has sent something, and read it: quicker than `ready` and `receive`.
+
+        Raises Stopped or Gone as by those.
+        """
         while True:
             received = client.receive()
             now = time.perf_counter()
@@ -226,7 +250,10 @@ LATEST, SHORTEST = 0.02, 0.6
 
 
 class Clock:
-    """Instants that are one period apart; `late`: those skipped as the server came more than `LATEST` late."""
+    """Instants that are one period apart.
+
+    `late`, int: instants that were skipped because the server came more than `LATEST` late.
+    """
 
     def __init__(self, period: float) -> None:
         self.period, self.late = period, 0
@@ -253,10 +280,11 @@ class Clock:
 
 
 class Session(Simulator):
-    """A simulation that clients drive one after the other.
+    """A simulation that clients drive one after the other, and how many of its cycles had a command.
 
-    `cycles`, `lost`: steps since the last reset in which a client drove, and those for which no command came in time;
-    `late`: instants of real time that were skipped, see `Clock`.
+    `cycles`, `lost`, int: steps since the last reset during which a client drove, and those of them for which no
+        command came in time.
+    `late`, int: instants of real time that this computer was too late for, see `Clock`.
     """
 
     def __init__(self, scenario: Scenario) -> None:
@@ -273,9 +301,13 @@ class Session(Simulator):
 class Interface:
     """An interface to a session; a subclass answers clients in `serve`, in a thread of its own.
 
-    `numbers`: the ports that its real counterpart has, 0: any that is free; `port`: the first one, None: `numbers`.
+    `ports`: where it listens.
+    `numbers`: the ports that its real counterpart has, 0: any that is free.
+    `session`: the simulation.
+    `host`, `port`: where it listens: `port` and those after it, None: `numbers`, 0: any that are free.
     `lock_step`: whether time goes on only with each command; else it goes on with the wall clock.
-    `limits`: whether limits act as on the real arm; `say`: is given a line about each client.
+    `limits`: whether limits act as on the real arm, where the interface has such.
+    `say`: is given a line about each client that comes, goes or is refused.
     """
 
     numbers: ClassVar[tuple[int, ...]] = (0,)
@@ -327,7 +359,11 @@ GOES_ON = "it is served, and goes on: its last {:g} s, without what is known onl
 
 
 class Watch:
-    """The lab's page of a session, at `url`, until `finish`; raises OutputError if it cannot listen there."""
+    """The lab's page of a session, from now until `finish`.
+
+    `url`, str: its address, with the token that lets in.
+    Raises OutputError if it cannot listen there.
+    """
 
     def __init__(self, session: Session, *, port: int = FIRST_PORT) -> None:
         self._session, problem = session, session.problem

@@ -70,9 +70,10 @@ DIFFERENCES = 257  # points at which a segment's acceleration is sampled to choo
 def follow(robot: Robot, q: Array, path: TipPath, held: paths.Orientation = paths.FREE_ORIENTATION) -> ik.JointPath:
     """Return the joint path whose tip runs along `path` from joint positions q (n,), at which the tip is at its start.
 
-    An orientation that is `held` begins at the posture next to q that has it, if that is within a degree.
-    Raises ScenarioError, with the first instant, if the path leaves workspace or limits, or the orientation is not
-    held.
+    With an orientation that is `held` it begins at the posture next to q that has it, if that is within a degree.
+
+    Raises ScenarioError if the path leaves the workspace or the joint limits, with the first instant at which it does;
+        or if the arm cannot hold the orientation, or is not near it at the start.
     """
     if held.rows != ik.POSITION:
         q = _aligned(robot, q, held)
@@ -183,7 +184,11 @@ def _resolve(who: Follower, q: Array, segment: Segment, most: int, keys: tuple[s
 def _between(
     who: Follower, q: Array, segment: Segment, span: tuple[float, float], first: int, most: int, keys: tuple[str, ...]
 ) -> ik.JointPath:
-    """Return the joint path between two instants of a segment, of `first` intervals or more: halved near jumps."""
+    """Return the joint path between two instants of a segment, with `first` intervals or more.
+
+    A tool that is held against a surface may have an acceleration that jumps. Knots are needed near the jumps alone:
+    what some doublings do not resolve is halved.
+    """
     intervals, begin, end = first, *span
     while True:
         path, worst = _through_knots(who, q, segment, span, intervals, most, keys)
@@ -207,7 +212,10 @@ def _through_knots(
     who: Follower, q: Array, segment: Segment, span: tuple[float, float], intervals: int, most: int,
     keys: tuple[str, ...],
 ) -> tuple[ik.JointPath, float]:  # fmt: skip
-    """Return the joint path through the knots, until one is refused, and the tip's largest error midway, m."""
+    """Return the joint path through the knots, and the largest distance of the tip from its path midway, m.
+
+    A path is refused at the first knot out of the workspace.
+    """
     times = span[0] + (span[1] - span[0]) * (np.arange(min(intervals, most) + 1) / intervals)
     if span[1] < segment.stop:
         times[-1] = span[1]  # where the other half begins, to the last bit
@@ -291,7 +299,11 @@ class Motion:
     joints: ik.JointPath  # the joints' path along it
 
     def table(self, instants: Array, spare: int = 0) -> Array:
-        """Return rows of `Reference` at `instants` (P,), s, right limits, no force, and `spare` columns of zeros."""
+        """Return the table at `instants` (P,), s, rows of `Reference` without a force; at a discontinuity with the
+        right limit.
+
+        `spare` columns of zeros are appended.
+        """
         n = self.joints.q.shape[1]
         table = np.zeros((instants.size, Reference.count(n) + spare))
         self.joints.write(instants, table, 2)

@@ -45,8 +45,10 @@ class JointPath:
         return cls(np.zeros(1), q[None, :].copy(), np.zeros((1, q.size)))
 
     def sample(self, t: Array) -> tuple[Array, Array, Array]:
-        """Return q_des, q̇_des and q̈_des, each (N, n), at t (N,), s: the spline's own; of a jump q̇ has the right
-        limit.
+        """Return q_des, q̇_des and q̈_des, each (N, n), at times t (N,), s.
+
+        At a discontinuity the velocity has its right limit, and its jump does not enter q̈_des. q̈_des is the
+        spline's own: linear between knots, with jumps of the order of their spacing squared.
         """
         n = self.q.shape[1]
         rows = np.zeros((np.size(t), 3 * n))

@@ -139,7 +139,11 @@ ForceProfile = Annotated[
 
 
 def force_at(section: ForceProfile, base: float, t: Array) -> Array:
-    """Return f_des (N,), N, of law.force `base` at t (N,), s; right limits. ScenarioError if forces are missing."""
+    """Return f_des (N,), N, at times t (N,), s; at a jump the right limit.
+
+    `base`: law.force, N.
+    Raises ScenarioError if a profile of waypoints has not as many forces as instants.
+    """
     t = np.asarray(t, dtype=np.float64)
     if isinstance(section, ConstantForceSection):
         return np.full(t.shape, base)
@@ -242,7 +246,12 @@ def turned_by(axes: Array, wanted: Array) -> Array:
 def orientation_of(
     held: str | tuple[float, float, float], axis: Array, robot: Robot, q: Array, surface: PlacedSurface
 ) -> Orientation:
-    """Return what reference.orientation, `held`, asks of the tool's `axis` (3,), tip's frame, against the surface."""
+    """Return what reference.orientation asks for.
+
+    `held`: "free", "normal", "start", or the rotation vector of the tip's frame, rad, base frame.
+    `axis` (3,): axis of the tool, a unit vector in the tip's frame.
+    `surface`: whose normal it is held against.
+    """
     if held == "free":
         return FREE_ORIENTATION
     if held == "normal":
@@ -262,7 +271,11 @@ PATH_CHECKS, NARROWER = 200, 1e-9
 
 
 def hollow_radii(surface: PlacedSurface, times: Array, r: Array) -> Array:
-    """Return the smallest radius of the hollows at points (N, 3), m, at times (N,), s: (N,), m; inf where none is."""
+    """Return the smallest radius of curvature of the hollows at points of a surface, (N,), m; inf where there is none.
+
+    `times` (N,): s.
+    `r` (N, 3): points on it at these instants, m, base frame.
+    """
     shape, found = shape_at(surface), np.full(times.size, math.inf)
     for k, t in enumerate(times):
         turn, shift = surface.displacement(float(t))
@@ -316,7 +329,10 @@ class Between(Protocol):
 
 
 def direction_along(direction: Sequence[float], normal: Array) -> Array:
-    """Return the unit vector (3,) of reference.direction; ScenarioError if it is none along the surface."""
+    """Return the unit vector (3,) of reference.direction, which must be along the surface with this unit normal (3,).
+
+    Raises ScenarioError if it has no direction, or points out of the surface; names the nearest that does not.
+    """
     along = unit(direction, "reference.direction")
     out = float(normal @ along)
     if abs(out) > OUT_OF_SURFACE:
@@ -384,7 +400,11 @@ PATHS = Family(Path, usual="hold")  # type: ignore[type-abstract]  # it makes no
 
 @np.errstate(all="ignore")  # what overflows is refused by name when it is followed
 def tip_path(section: Path, origin: Array, normal: Array) -> TipPath:
-    """Return the path from `origin` (3,), m, on a surface of unit normal (3,); ScenarioError if it is at fault."""
+    """Return the path from `origin` (3,), m, on a surface with this unit normal (3,), base frame.
+
+    Raises ScenarioError if the section is at fault: a direction out of the surface, a stop before the start ... Or a
+        user's path is: it raises something, or returns no path from `origin`.
+    """
     with of_users(section, "reference.kind"):
         path = section.tip_path(origin, normal)
         if not isinstance(path, TipPath):
@@ -399,7 +419,10 @@ def tip_path(section: Path, origin: Array, normal: Array) -> TipPath:
 
 
 def path_normal(section: Path, surface: Surface) -> Array:
-    """Return the unit normal (3,) of the plane of a path: the surface's at the start, or one across the path."""
+    """Return the unit normal (3,) of the plane that a path is drawn in, base frame: that of the surface at the start.
+
+    Without a surface a path may have any direction: of the normals across it, it is the nearest to `surface.normal`.
+    """
     normal = unit(surface.normal, "surface.normal")
     direction = None if surface.kind != "none" else getattr(section, "direction", None)
     if direction is None:
@@ -411,7 +434,10 @@ def path_normal(section: Path, surface: Surface) -> Array:
 
 
 def path_on(section: Path, origin: Array, surface: PlacedSurface, duration: float) -> TipPath:
-    """Return the path from `origin` (3,), m, laid onto a surface for `duration`, s; ScenarioError if it leaves it."""
+    """Return the path from `origin` (3,), m, base frame, laid onto a surface for a run of `duration`, s.
+
+    Raises ScenarioError as `tip_path`, or if the surface does not lie under the path, or the path leaves it.
+    """
     path = tip_path(section, origin, path_normal(section, surface.section))
     if section.on_surface == "no" or (surface.fixed_plane and section.in_plane):
         return path

@@ -55,9 +55,11 @@ def constant(t: Array, duration: float) -> tuple[Array, Array, Array]:
 
 
 def minimum_jerk(t: Array, duration: float) -> tuple[Array, Array, Array]:
-    """Return s, s, ṡ and s̈, 1/s, each (N,), of least jerk at times t (N,), s, after the start; else it is at rest.
+    """Return s, s, ṡ and s̈, 1/s, each (N,), of least jerk at times t (N,), s, after the start.
 
-    With τ = t/T: s = T (10 τ³ − 15 τ⁴ + 6 τ⁵) (Flash and Hogan, J. Neuroscience 5, 1985).
+    With τ = t/T: s = T (10 τ³ − 15 τ⁴ + 6 τ⁵). Speed and acceleration are zero at both ends, and among all motions
+    that begin and end so, the integral of the squared jerk is the smallest (Flash and Hogan, J. Neuroscience 5, 1985).
+    Outside the motion it is at rest.
     """
     x = np.clip(t / duration, 0.0, 1.0)
     rest = 1.0 - x
@@ -149,10 +151,16 @@ class Segment:
 class TipPath:
     """The desired tip position as a function of time.
 
-    `origin` (3,): of the tip before the first segment, m, base frame; `segments`: each begins where the one before
-    ends.
-    `keys`: of the scenario, that set how far the path goes, for messages.
-    `begins`: when it begins to move along the surface, s, if not with its first segment.
+    Attributes
+    ----------
+    origin : (3,) array
+        Position of the tip before the first segment, m, base frame.
+    segments : tuple of Segment
+        Each begins when and where the one before ends; none: the tip stays.
+    keys : tuple of str
+        Keys of the scenario that set how far the path goes, for messages.
+    begins : float, optional
+        Instant at which it begins to move along the surface, s, if that is not when its first segment begins.
     """
 
     origin: Array
@@ -178,7 +186,10 @@ class TipPath:
         return np.unique([*ends, *np.linspace(min(ends), max(ends), count)])
 
     def sample(self, t: Array) -> tuple[Array, Array, Array]:
-        """Return r, m, ṙ, m/s, and r̈, m/s², each (N, 3), at t (N,), s; at jumps right limits, not in r̈."""
+        """Return r, m, ṙ, m/s, and r̈, m/s², each (N, 3), base frame, at times t (N,), s.
+
+        At a discontinuity velocity and acceleration have their right limits; a jump of the velocity does not enter r̈.
+        """
         t = np.asarray(t, dtype=np.float64)
         r, velocity, acceleration = np.zeros((3, t.size, 3))
         r[:] = self.origin
@@ -232,7 +243,11 @@ class Rolled:
 
 
 class Rolling:
-    """The plane of a path that rolls along a surface from `origin` (3,), m; ScenarioError without a normal there."""
+    """The plane of a path that rolls along a surface.
+
+    `origin` (3,): where the path begins, m, base frame; it keeps to the level of φ there.
+    Raises ScenarioError if the surface has no normal there.
+    """
 
     def __init__(self, surface: PlacedSurface, origin: Array) -> None:
         start = surface.touching(origin)
@@ -241,10 +256,12 @@ class Rolling:
         self.r, self.tangents = np.array(origin), start.frame[1:].copy()
 
     def roll(self, curve: Curve, duration: float, length: float) -> Rolled:
-        """Roll along a curve in the tangent plane at the surface's origin from where the last one ended.
+        """Roll along a curve in the plane from where the last one ended.
 
-        `duration`: up to which its parameter goes; `length`: about, m. ScenarioError if it leaves the surface or is too
-        sharp.
+        `curve`: in the tangent plane at the surface's origin; what leads out of it is left out.
+        `duration`: up to which its parameter goes.
+        `length`: its length, m, about.
+        Raises ScenarioError if it leaves the surface, or is too long, or bent too sharply to be resolved.
         """
         from scipy.interpolate import BPoly
 
@@ -421,7 +438,9 @@ class SegmentOnSurface(Segment):
 def on_surface(path: TipPath, surface: PlacedSurface, duration: float, geodesic: bool = False) -> TipPath:
     """Return the path laid onto a surface; one that moves carries the tip along until `duration`, s, and before.
 
-    `geodesic`: rolled onto it, with its lengths, and drawn on a body that moves, or projected along the normal alone.
+    `path`: in the tangent plane at the surface's origin.
+    `geodesic`: whether it is rolled onto the surface, with its lengths, or projected. On a surface that moves a
+        geodesic is drawn on the body; a projection follows it along the normal alone.
     Raises ScenarioError if the surface does not lie under the path.
     """
     level, laid = surface.touching(path.origin).level, list[Segment]()
@@ -509,7 +528,10 @@ def _cosines(found: Array) -> Array:
 
 
 def _least(surface: PlacedSurface, tip: TipPath, before: float, at: float, after: float) -> float:
-    """Return the instant between two others, s, at which |∇φ| is least, counted from `at`, to its own rounding."""
+    """Return the instant between two others, s, at which |∇φ| is least; `at` is one in between, from where it counts.
+
+    Counted from there, an instant close to it is told apart to its own rounding, not to that of the whole run.
+    """
     from scipy.optimize import minimize_scalar
 
     def size(shift: float) -> float:

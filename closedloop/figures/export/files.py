@@ -179,7 +179,11 @@ VERSION = 5
 
 
 def write_rosbag2(run: Run, path: str | Path) -> list[Path]:
-    """Write a run as a bag, the folder `path`, for ``ros2 bag play`` and ``info``; return what was written."""
+    """Write a run as a bag, the folder `path`, for ``ros2 bag play`` and ``ros2 bag info``; return what was written.
+
+    Raises ScenarioError if the package mcap-ros2-support is missing.
+    Raises OutputError if the folder cannot be made or written into.
+    """
     folder = Path(path)
     name = f"{folder.name}_0.mcap"
     written = write_mcap(run, made_folder(folder) / name)
@@ -229,11 +233,11 @@ def save(run: Run, path: str | Path) -> list[Path]:
 
 
 def write_csv(run: Run, path: str | Path) -> list[Path]:
-    """Write a run as CSV, and its events beside it with ``_events`` in the name; return the paths.
+    """Write a run as CSV, and its events, if it has any, beside it with ``_events`` in the name; return the paths.
 
-    Numbers are read back to the bit. Headers are ``q J1 [rad]``, ``position x [m]`` ...; reactions of loop joints are
-    last,
-    ``reaction pin: force along x [N]`` ..., in the axes of the second of its frames.
+    Numbers have as many digits as tell them apart from all others, so they are read back to the bit. Headers are
+    ``q J1 [rad]``, ``position x [m]`` ...; what has no unit has none. Reactions
+    of loop joints are last, ``reaction pin: force along x [N]`` ..., in the axes of the second of its frames.
     """
     needs("pyarrow")
     from pyarrow import csv

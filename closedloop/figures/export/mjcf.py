@@ -278,8 +278,9 @@ EXPLAINED = (
 def write_mjcf(run: Run, path: str | Path) -> list[Path]:
     """Write the scene of a run as MJCF, and return its path in a list.
 
-    Raises ScenarioError if there is no row, MuJoCo has no equality for a loop joint, or the surface's class is not
-    named; OutputError if the file cannot be written.
+    Raises ScenarioError if the run has no rows, MuJoCo has no equality for a loop joint of the robot, or the surface is
+        a user's class not named in this process.
+    Raises OutputError if the file cannot be written.
     """
     if not len(run):
         raise ScenarioError(f"{run.scenario.name}: the run has no rows: there is no scene")

@@ -112,7 +112,10 @@ class Ground:
 
 
 def floor_mesh(scenario: Scenario, points: Array) -> tuple[Array, NDArray[np.uint32]]:
-    """Return the plane of the world that links touch, about points (k, 3), m, as two triangles; empty without one."""
+    """Return the plane of the world that links touch, below and around points (k, 3), m, as two triangles.
+
+    Empty where no contact is with such a plane.
+    """
     for section in scenario.contact or ():
         if section.against == WORLD and (section.surface is None or section.surface.kind == "plane"):
             frame, through = contact_frame(unit(section.normal, "normal")), np.array(section.through)
@@ -293,8 +296,9 @@ class Scene:
     def arrows(self, rows: Sequence[int] | NDArray[np.int64]) -> list[list[Arrow]]:
         """Return the forces in each of some rows: the same ones, in the same order, in all.
 
-        First those at the tip, that of the surface and the commanded one; then of each loop joint on its second side,
-        of each contact of links, or patch of many, on the link that has the point; and each force from outside.
+        First those at the tip, of the surface on the tip and the commanded one on the surface; then that of each loop
+        joint on its second side; then that of each contact of links on the link that has the point, where they are many
+        that of all points of a patch at their centre of pressure; then each force from outside.
         """
         reactions = reactions_in(self.run, np.asarray(rows, dtype=np.int64))
         found = [self._at_tip(row) for row in rows]
@@ -318,7 +322,10 @@ class Scene:
         return [Arrow(run.position[row], force, kind, kind) for kind, force in zip(ARROWS, forces, strict=False)]
 
     def between_links(self, row: int, axes: Array, origins: Array) -> list[Arrow]:
-        """Return the force of each contact of links in a row, in the order of `touching`, where frames are so."""
+        """Return the force of each contact of links in a row, where the joints' frames are as `joint_places` has them.
+
+        They are in the order of `touching`, each on the link that has its point.
+        """
         if not self.touching:
             return []
         frictions, t = self.run.link_frictions[row].reshape(-1, 2), float(self.run.time[row])

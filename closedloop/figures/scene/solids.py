@@ -120,7 +120,10 @@ def _shape(
 
 
 def _meshes(visual: Any, named: dict[str, Any], folder: Path | None) -> list[tuple[trimesh.Trimesh, Any]]:
-    """Return the triangles of a visual shape, and their colour: its own, of those `named`, else its file's, or None."""
+    """Return the triangles of one visual shape, and their colour: the shape's own, else that of its file, or None.
+
+    `named` are the colours of the robot's materials by name.
+    """
     import trimesh
 
     shape, material = visual.geometry, visual.material
@@ -202,7 +205,10 @@ BEYOND, THINNEST = 0.03, 1e-9
 
 
 def solids_mesh(scenario: Scenario, points: Array) -> Mesh:
-    """Return the polyhedra of the world that links touch, in a box about points (k, 3), m: vertices and triangles."""
+    """Return the polyhedra of the world that links touch, in a box around points (k, 3), m, base frame.
+
+    Vertices (m, 3), m, and triangles (l, 3); empty where no contact is with a polyhedron.
+    """
     low, high = points.min(axis=0) - BEYOND, points.max(axis=0) + BEYOND
     box = np.vstack([np.column_stack([np.eye(3), high]), np.column_stack([-np.eye(3), -low])])
     vertices: list[Array] = [np.zeros((0, 3))]
@@ -222,7 +228,10 @@ def solids_mesh(scenario: Scenario, points: Array) -> Mesh:
 
 
 def _between(planes: Array) -> tuple[Array, NDArray[np.int64]]:
-    """Return the body n·p ≤ d of planes (m, 4), unit n and d, as corners and triangles; none if it is empty."""
+    """Return the body n·p ≤ d, whose planes (m, 4) are unit n and d, as corners and triangles; none if it is empty.
+
+    Within it is the centre of the largest ball that fits.
+    """
     import trimesh
     from scipy.optimize import linprog
     from scipy.spatial import HalfspaceIntersection
@@ -251,9 +260,10 @@ class _Side(NamedTuple):
 
 @dataclass(frozen=True)
 class _Loop:
-    """A loop joint: its name, mark, two sides, and its axes in the first side's frame.
+    """A loop joint: its name, what its mark looks like, its two sides, and its axes, in the first side's frame.
 
-    `named`: the joint's frame and there the axes that its reaction is in; `force`: which parts of all reactions it has.
+    `named` are the joint's frame, 0 for the base, and there the axes, as columns, in which its reaction is; `force`
+    says which parts of all reactions are its force: none of a gear.
     """
 
     name: str
@@ -278,7 +288,10 @@ class Joined:
         return _loops_of(self.robot, self.size)
 
     def places(self, axes: Array, origins: Array) -> tuple[Array, Array]:
-        """Return axes (k, 3, 3), as columns, and origins (k, 3), m, base frame, of the marks where frames are so."""
+        """Return the axes (k, 3, 3), as columns, and the origins (k, 3), m, base frame, of the marks.
+
+        `axes`, `origins`, (n + 1, 3, 3) and (n + 1, 3) arrays: the frames of the base and the joints.
+        """
         turns, points = np.zeros((len(self.loops), 3, 3)), np.zeros((len(self.loops), 3))
         for k, loop in enumerate(self.loops):
             (first, points[k]), (_, other) = ((s.frame, origins[s.frame] + axes[s.frame] @ s.point) for s in loop.sides)
@@ -286,10 +299,12 @@ class Joined:
         return turns, points
 
     def forces(self, reactions: Array, axes: Array, origins: Array) -> Array:
-        """Return the force (k, 3) of each loop joint on its second side, N, base frame, where frames are so.
+        """Return the force (k, 3) of each loop joint on its second side, N, base frame.
 
-        `reactions` (c,): on the first side. A rod ends on a platform with its second: in it the force would not be
-        seen.
+        Where a rod ends on a platform it is the second: the force on the rod would be drawn inside of it.
+
+        `reactions` (c,): on the first side, see `closedloop.mechanics.loops.reactions.LoopReactions`.
+        `axes`, `origins`, (n + 1, 3, 3) and (n + 1, 3) arrays: the frames of the base and the joints.
         """
         found = np.zeros((len(self.loops), 3))
         for k, loop in enumerate(self.loops):
@@ -358,7 +373,10 @@ def reactions_in(run: Run, rows: NDArray[np.int64]) -> Array:
 
 
 def robot_in(run: Run, whole: bool = False) -> Robot:
-    """Return the robot of a run, with its tool, one for all alike; `whole`: as for reactions, links share no mass."""
+    """Return the robot of a run, with the tool that the scenario puts on its tip: one for all runs with the same.
+
+    If asked for, links that stand for coordinates of loop joints share no mass, as for their reactions.
+    """
     key = run.model, whole, robot_key(run.scenario, Cache())
     model = replace(run.model, whole=True) if whole else run.model
     return _robots.get_shared(key, lambda: robot_of(run.scenario, model), lambda robot: 1)

@@ -243,7 +243,11 @@ class StatesOf(NamedTuple):
 
 @lru_cache(maxsize=128)
 def state_columns(of: StatesOf) -> dict[str, tuple[Column, int | slice]]:
-    """Return the columns ``law_NAME`` and ``compensation_NAME``, and where each is among the states of a loop."""
+    """Return the columns ``law_NAME`` and ``compensation_NAME`` of a run, and the place of each state.
+
+    The places are among the states of the law and its compensation, in the loop's order. A joint's state is a column
+    (N, n).
+    """
     found: dict[str, tuple[Column, int | slice]] = {}
     before = 0
     for section, part, kind in zip(("law", "compensation"), (of.law, of.compensation), of.kinds, strict=True):

@@ -256,7 +256,11 @@ def in_order(columns: Iterable[str]) -> list[str]:
 
 
 class ColumnsOnDemand(Mapping[str, NDArray[Any]]):
-    """Columns that `make` makes of a name when they are first asked for, each once; they are read-only."""
+    """Columns that are made when they are first asked for, each once; they are read-only.
+
+    `names`: their names, in order.
+    `make`: makes the column of a name; it is let go when all are made.
+    """
 
     def __init__(self, names: Mapping[str, Any], make: Callable[[str], NDArray[Any]]) -> None:
         self._names, self._make = names, make

@@ -48,10 +48,12 @@ class Touching(NamedTuple):
     ) -> tuple[Array, Array]:
         """Return where the contact is (3,), m, and the force (3,), N, on the link that has the point, base frame.
 
-        `normal`, `friction`: along the normal, and along the tangents (2,), N; `t`: the instant, s, of a surface that
-        moves.
-        `axes` (n + 1, 3, 3), `origins` (n + 1, 3): the frames of base and joints. If `flat`, all may have further axes
-        first.
+        If it is `flat`, all of these may have the same further axes before theirs.
+
+        `normal`: along the normal, N.
+        `friction` (2,): along the tangents, N.
+        `axes`, `origins`, (n + 1, 3, 3) and (n + 1, 3) arrays: the frames of the base and the joints.
+        `t`: the instant, s, of a surface that moves.
         """
         place = origins[..., self.point_frame, :] + axes[..., self.point_frame, :, :] @ self.point
         turn, frame = axes[..., self.plane_frame, :, :], self.axes
@@ -126,8 +128,12 @@ def contact_torques(
 ) -> Array:  # fmt: skip
     """Return the torques of the k contacts of a scenario's links on the joints in N rows, (N, n), N m (N).
 
-    `times` (N,), s; `q` (N, nq), as Pinocchio has it; `forces` (N, k) and `frictions` (N, 2 k), N, along normals and
-    tangents, `pivoting` (N, k) and `rolling` (N, 2 k), N m, about them, on the links that have the points.
+    `times` (N,): s.
+    `q` (N, nq): rad (m), as Pinocchio has them.
+    `forces`, `frictions`, (N, k) and (N, 2 k) arrays: along the normals and the tangents, N, on the links that have the
+        points.
+    `rolling`, `pivoting`, (N, 2 k) and (N, k) arrays: moments about the tangents and the normals, N m, on the same
+        links.
     """
     contacts, torques = contacts_of(scenario, mechanism), np.zeros((len(q), mechanism.nv))
     frames = sorted({frame for each in contacts for frame in (each.point_frame, each.plane_frame)} - {0})
@@ -145,7 +151,8 @@ def wrenches_on_links(
 ) -> Iterator[tuple[int, Array]]:  # fmt: skip
     """Yield, of each contact on either of its links, the link and the wrench (N, 6), base axes, about its origin.
 
-    `axes`, `origins`: of `frames_in_rows`; `carried`: forces, frictions, rolling and pivoting of `contact_torques`.
+    `axes` and `origins` are those of the links, see `frames_in_rows`; `carried` are forces, frictions, rolling and
+    pivoting moments, as `contact_torques` takes them.
     """
     forces, frictions, rolling, pivoting = carried
     for i, touching in enumerate(contacts):
@@ -167,7 +174,10 @@ def moved_wrench(wrench: Array, off: Array) -> Array:
 def external_wrenches(
     run: Record, mechanism: Any, tip: str, axes: Array, origins: Array, rows: slice = slice(None)
 ) -> Iterator[tuple[int, Array, Array]]:
-    """Yield link, point (N, 3), m, and wrench (N, 6) about it, of each force from outside in the step from each row."""
+    """Yield, of each force from outside, the link, the point (N, 3), m, and the wrench (N, 6) about it, base axes.
+
+    They are those of the step that begins at each of the rows, see `closedloop.loop.step.external`.
+    """
     scenario = run.scenario
     for section in scenario.external_force or ():
         frame, at = section.place(tip, scenario.tool.offset)

@@ -78,8 +78,9 @@ def lasting_swing(x: Array, bound: float, h: float, begin: float) -> Swing | Non
 def regular_swing(x: Array, bound: float, h: float, begin: float, periods: int = PERIODS) -> Swing | None:
     """Return the swing of a signal (N,), `h` s apart, of `periods` and more beyond ±`bound`; None without one.
 
-    A period is from one rise through the middle to the next, with excursions to both sides beyond half the bound and
-    half the RMS; the last third of them must reach the bound, and all must last about equally long.
+    What counts is a period from one rise through the middle to the next, each with an excursion to both sides between
+    of more than half the bound and half the RMS; the last third of them must reach the bound, and all must last
+    about equally long.
     """
     if len(x) < periods * ROWS_IN_PERIOD:
         return None
@@ -252,7 +253,12 @@ def judge_force(
 ) -> list[Problem]:
     """Return what is wrong with the force while contact is commanded, above all in the later half of that time.
 
-    `miss` (R,): f − f_des in the `rows` (R,) of the run, N; `scale`: F; what is not known is added to `unknown`.
+    `miss` (R,): f − f_des, N, while contact is commanded.
+    `scale`: F, N.
+    `h`: time between two rows, s.
+    `rows` (R,): which rows of the run these are.
+    `unknown`: what is not known is added.
+    `sparse`: see `Signals`.
     """
     late = miss[rows.size // 2 :]
     off = max(float(late.max()), -float(late.min()))
@@ -368,14 +374,19 @@ def signals_of(
     scenario: Scenario, h: float, force: Array, wanted: Array, touching: Mask, path: tuple[Array, Array, Array],
     touchdowns: Array, own_law: bool = False,
 ) -> Signals:  # fmt: skip
-    """Return the signals of N rows, `h` s apart.
+    """Return the signals of N rows.
 
     Contact is commanded where f_des > 0 (on a surface that can pull, where f_des is not zero), but for where the
-    paper's law is led off the surface again by its path: by more than `RELEASE` from where it was nearest until then.
-    Nothing is commanded where only links have contacts: the tip's force moves the arm.
+    paper's law is led off the surface again by its path: by more than `RELEASE` from where it was nearest until
+    then. Without a surface, and where links have contacts and the tip never had one, nothing is commanded of the tip:
+    its force moves the arm.
 
-    `path`: the tip less its path along the surface (N, 3), how far off it the path is (N,), and the path (N, 3), m.
-    `touchdowns` (E,): when contact began or the tip bounced, s; `own_law`: whether the law is a function.
+    `h`: time between two rows, s.
+    `force`, `wanted`, `touching`, (N,) arrays: f, f_des, N, and whether in contact.
+    `path`, (N, 3), (N,) and (N, 3) arrays: the tip less its path, along the surface; how far off the surface the path
+        is; the path; m.
+    `touchdowns` (E,): when contact began or the tip bounced, s.
+    `own_law`: whether the law is a function, and not the scenario's.
     """
     off, gap, tip = path
     led = follows_path(scenario, own_law)

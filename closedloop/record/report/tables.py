@@ -354,7 +354,10 @@ def _print_events(run: Record, console: Console) -> None:
 
 
 def _event_row(event: Event, names: tuple[str, ...]) -> tuple[str, ...]:
-    """Return the cells of an event: rates where contact begins or ends, impulses and energy of an impact."""
+    """Return the cells of an event: rates where contact begins or ends, impulses and energy of an impact.
+
+    `names` are those of the tip and of the contacts of links; the tip's alone need not be said.
+    """
     normal = event.kind in ("impact", "touchdown", "liftoff", "edge")
     impact = event.kind in ("impact", "touchdown")
     return (

@@ -48,7 +48,11 @@ from robot_models.tendon import loop_dynamics
 
 
 def count_limited(limited: Array, h: float, values: Any) -> None:
-    """Write share and first instant of limited torques, (N, n) of N >= 1 rows, into a run's values."""
+    """Write `torque_limited_share` and `torque_limited_at` into a run's values.
+
+    `limited` (N, n): the column `torque_limited`, N >= 1.
+    `values`: see `closedloop.record.report.measures.Values`; written.
+    """
     cut = limited != AS_ASKED
     values.torque_limited_share[:] = np.mean(cut, axis=0)
     values.torque_limited_at[:] = np.where(np.any(cut, axis=0), h * np.argmax(cut, axis=0), np.nan)
@@ -94,8 +98,11 @@ LEAST_ANGLE = 1.0
 def friction_off_slip(run: Record) -> dict[str, float] | None:
     """Return the largest angle between −F_t and the slip, degrees, when, s, and the fastest slip at which there is one.
 
-    No step resolves slip that friction would turn within it (`closedloop.loop.step.tip_friction`). None where friction
-    is along the slip to `LEAST_ANGLE`, and of laws with elastic bristles, which have a direction of their own.
+    Where friction would turn the slip within a step it points to where the slip will be
+    (`closedloop.loop.step.tip_friction`): no step resolves it.
+
+    None where friction is along the slip, to `LEAST_ANGLE`, at every row that slips; laws with elastic bristles have a
+    direction of their own, and none is meant.
     """
     if run.scenario.friction.kind == "none" or run.scenario.friction.sticks != "rigid" or not len(run):
         return None
@@ -191,7 +198,8 @@ class Facts(NamedTuple):
 def outside_by_the_scenario(scenario: Scenario, model: RobotModel) -> set[str]:
     """Return the names of the paper's assumptions that the scenario itself, with its robot, gives up.
 
-    A tip with friction may stick, with three rows instead of one; without a surface it closes no loop.
+    Friction at the tip gives up freedom from it, and, since a tip may stick with three rows, the one row; friction in
+    the joints the former; a unilateral contact that contact is kept. Without a surface the tip closes no loop.
     """
     outside = set()
     if scenario.friction.kind != "none":
@@ -215,7 +223,11 @@ def outside_by_the_run(measures: Mapping[str, float | None], stopped: str | None
 
 
 def judge(facts: Facts, gains: Callable[[], str]) -> list[dict[str, Any]]:
-    """Return what is wrong with a run: ``name``, ``at``, s, or None, ``text``; `gains` says it of those, if asked."""
+    """Return what is wrong with a run: a list of ``name``, ``at``, the instant, s, or None, and ``text``.
+
+    `gains`: returns what is wrong with the gains for this step (`closedloop.scenario.modes.gains_fault`); called only
+        if something else is wrong.
+    """
     problems = [problem_of("stopped", facts.stopped)] if facts.stopped else []
     if facts.steps >= 0:
         problems += [p for p in (_energy(facts), _gain(facts), _chatter(facts), _closure(facts)) if p]

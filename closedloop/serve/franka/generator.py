@@ -49,7 +49,11 @@ _NO_LIMIT, _AT_ONCE = 1e3, 1e9
 
 
 def describe(robot: Robot, flange: str) -> str:
-    """Return the URDF of an arm of seven joints, with the frame `flange` as link8, and what is fixed in the masses."""
+    """Return the URDF of an arm of seven joints; its masses are those of the links and of all that is fixed to them.
+
+    `robot`: the arm.
+    `flange`: the frame that is link8.
+    """
     model, limits = robot.model.pinocchio_model(), robot.model
     root = ET.Element("robot", name=f"closedloop_{limits.name}")
     ET.SubElement(root, "link", name="link0")
@@ -103,11 +107,14 @@ _REST = np.zeros(JOINTS)
 class Arm:
     """The arm of a scenario as its own controller has it.
 
-    Frames, (4, 4): O the base, F the flange, NE the nominal end effector, here the tip of the scenario, EE the end
-    effector that the client sets from there, K the stiffness frame that it sets from EE.
+    Frames: O the base, F the flange, NE the nominal end effector, here the tip of the scenario, EE the end effector
+    that the client sets from there, K the stiffness frame that it sets from EE. Poses are (4, 4).
 
-    `fingers`: how many joints of a hand come after the arm's seven; `urdf`: the description for the client.
-    `load`: mass, kg, centre of mass (3,), m, in F, and tensor about it, (9,), kg m², that the client has set.
+    `fingers`, int: how many joints the simulated robot has after the arm's seven: those of a hand.
+    `urdf`, str: the description for the client.
+    `F_T_NE`, `NE_T_EE`, `EE_T_K`, (4, 4) arrays: the frames.
+    `load`, tuple: mass, kg, centre of mass (3,), m, in F, and tensor about it, (9,), kg m², that the client has set.
+    `robot`, Robot: the arm with its load.
     Raises ScenarioError if the robot has not seven joints that turn, and sliding ones of a hand after them.
     """
 
@@ -141,7 +148,10 @@ class Arm:
         self._at_tip, self._at_ee = np.array_equal(NE_T_EE, np.eye(4)), np.array_equal(EE_T_K, np.eye(4))
 
     def set_load(self, mass: float, centre: Array, tensor: Array) -> None:
-        """Take over a load at the flange into the controller's model alone; ModelError if no body has such a tensor."""
+        """Take over a load at the flange: it is in the model of the controller, not in the simulation.
+
+        Raises ModelError if no body has such a mass and tensor.
+        """
         if not mass >= 0.0:
             raise ModelError(f"a load of {mass} kg: must not be negative")
         Y = tensor.reshape(3, 3)
@@ -164,8 +174,9 @@ class Arm:
         return self.robot.inverse_dynamics(q, _REST, _REST)
 
     def wrench(self, torque: Array, T: Array, J: Array) -> tuple[Array, Array]:
-        """Return the wrench at K that a torque (7,) balances, J_Kᵀ F = τ: in base axes, and in K's; zeros near singular
-        poses.
+        """Return the wrench at K that a torque (7,) of the joints balances: in base axes, and in the axes of K.
+
+        It is the one of least squares, J_Kᵀ F = τ; zeros near a singular pose. T and J are those of `end_effector`.
         """
         R = T[:3, :3]
         if not self._at_ee:
@@ -203,8 +214,10 @@ RANK = 1e-4
 class Generator:
     """Wanted positions of the joints, and what has been commanded.
 
-    `q`, `dq`, `ddq`, `jerk` (7,): wanted positions, rad, and their rates; `pose` (4, 4): of the end effector, commanded
-    or at the start; `twist`, `acceleration`, `twist_jerk` (6,): its velocity, m/s and rad/s, and rates, base axes.
+    `q`, `dq`, `ddq`, `jerk`, (7,) arrays: wanted positions, rad, and their rates.
+    `pose`, (4, 4) array: commanded pose of the end effector; where joints are commanded that of the start, see
+        `wanted_pose`.
+    `twist`, `acceleration`, `twist_jerk`, (6,) arrays: its velocity, m/s and rad/s, and the rates of that, base axes.
     """
 
     def __init__(self, arm: Arm, period: float) -> None:
@@ -347,9 +360,11 @@ def beyond(values: Array, limits: list[float]) -> bool:
 class Reflexes:
     """The filtered external torques and wrench, and what they have set off.
 
-    `torque` (7,), `wrench`, `wrench_in_K` (6,): external torques, N m, and the wrench at K in base axes and its own.
-    `contact`, `collision` (13,): 1 where a torque, or a component of the wrench in K, is above its lower threshold, and
-    has been above its upper one since the last recovery; `watches`: whether the client has set thresholds.
+    `torque`, `wrench`, `wrench_in_K`, arrays (7,), (6,), (6,): external torques, N m, and the wrench at K in base axes
+        and in its own, N and N m.
+    `contact`, `collision`, arrays (13,): 1 where a torque (7,) or a component of the wrench in K (6,) is above its
+        lower threshold, and where it has been above its upper one since the last recovery.
+    `watches`, bool: whether the client has set thresholds.
     """
 
     def __init__(self, arm: Arm, period: float) -> None:

@@ -41,8 +41,12 @@ LONGEST, EVERY = 20.0, 0.03
 
 
 class Gripper:
-    """The server of the gripper: `fingers` that are free, none, one that stands for both, or two; `busy` with a
-    command.
+    """The server of the gripper.
+
+    `busy`, bool: whether a command is being carried out.
+    `session`: the simulation.
+    `fingers`: free fingers: none, one that stands for both, or two.
+    `udp`: from which states are sent.
     """
 
     def __init__(self, session: Session, fingers: int, udp: socket.socket) -> None:
@@ -337,7 +341,10 @@ class Franka(Interface):
             self.gripper.leave()
 
     def _take_command(self, udp: socket.socket) -> bool:
-        """Read a datagram, keep it if it is the newest answer to the present state; return whether one was there."""
+        """Read a datagram and keep it if it is a command that answers the present state; return whether there was one.
+
+        The newest command is kept.
+        """
         try:
             message, address = udp.recvfrom(2048)
         except OSError:  # there is none, or the client's port is closed

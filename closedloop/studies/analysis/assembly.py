@@ -97,7 +97,9 @@ def columns(here: instants.Here, name: str, steps: Array, held: bool) -> dict[st
 def _apart(here: instants.Here, value: Array, wide: Array, near: Array, step: Array) -> Array:
     """Return how far two differences (k, ...) are apart, (k,): the most of all that is evaluated, each by its size.
 
-    `value`: without a change, whose size decides what is rounding; `step` (k, 1): of the wide ones.
+    `value`: what is evaluated without a change: its size decides what is rounding.
+    `wide`, `near`, (k, ...) arrays: the differences.
+    `step` (k, 1): the step of the wide ones.
     """
     firsts = [where.start for where in here.places.values() if where.stop > where.start]
 
@@ -247,7 +249,11 @@ class Reduced:
         return found | {"dz": dz}
 
     def read_at_rows(self) -> Array:
-        """Return the derivatives of ż by what encoders read at a row, by the coordinates; zero without encoders."""
+        """Return the derivatives of ż by what encoders read at a row, by the coordinates; zero without encoders.
+
+        They are all those of the law and its compensation by the joints but for what f, unsampled, brings: these know
+        of the joints by their encoders alone.
+        """
         found = np.zeros((self.by_z.shape[0], self.size))
         if not self.problem.scenario.reads_encoders:
             return found
@@ -297,11 +303,14 @@ class Reduced:
 def step_of(
     scheme: type[Scheme], A: Array, B: Array, begin: Array, h: float, leads: Array, exact: Array, decays: Array
 ) -> tuple[Array, Array]:
-    """Return Φ (k, k) and Γ (k, m) of a step h, s, of the system `A` (k, k), `B`, `begin` = B₀ (k, m).
+    """Return Φ (k, k) and Γ (k, m) of a step h, s.
 
-    `leads` (k,), `exact` (k,): for the semi-implicit scheme, the state whose new value is in the rate of this one, −1:
-    none, and the states that advance exactly, with what they depend on held over the step.
-    `decays` (k,): for Runge and Kutta's schemes, the rates a of states that decay by themselves, 1/s; 0 of others.
+    `scheme`: the integrator.
+    `A`, `B`, `begin`, (k, k), (k, m), (k, m) arrays: the system; `begin` is B₀.
+    `leads` (k,): for the semi-implicit scheme, the state whose new value is in the rate of this one; −1: none.
+    `exact` (k,): for the semi-implicit scheme, the states that advance exactly, with what they depend on held over the
+        step.
+    `decays` (k,): for the schemes of Runge and Kutta, the rates a of states that decay by themselves, 1/s; 0 of others.
     """
     k, m = B.shape
     both = np.zeros((k + m, k + m))
@@ -358,8 +367,10 @@ MOST_STATES = 2000
 
 
 def _step(r: Reduced) -> tuple[Array, list[Array]]:
-    """Return Φ (x, x) of the coordinates, and Γ by readings at the row and after, encoders' before, inputs, held
-    torque.
+    """Return Φ (x, x) of a step of the coordinates, and Γ by each of the inputs of a step.
+
+    They are the reading of the sensor at the row, that after it, the encoders' readings before, the inputs of the loop
+    and the held torque.
     """
     block, half, free = r.plant, r.half, r.free
     parts = []

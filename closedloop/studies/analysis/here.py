@@ -89,7 +89,10 @@ def put_contacts(state: dict[str, Array], loop: Loop) -> None:
 
 
 class ClosedContacts:
-    """The closed contacts of links in a loop's memory: their names, and the sizes of what `read` says."""
+    """The closed contacts of links in a loop's memory, while it is evaluated again and again.
+
+    `names`, `sizes`: of those that are closed; how many numbers `read` returns, by their names.
+    """
 
     def __init__(self, problem: Problem, loop: Loop) -> None:
         self._loop, memory = loop, loop.w.kept["contacts"]
@@ -167,7 +170,10 @@ def refuse_outside(scenario: Scenario, at: float, what: str = "linearise: at") -
 
 
 def row_at(problem: Problem, at: float) -> int:
-    """Return the row nearest to an instant, s, at which the law is evaluated with velocities as always."""
+    """Return the row of an instant, s: the nearest at which the law is evaluated, and its velocities are as always.
+
+    The first reading of encoders that take differences has none before it.
+    """
     hold = max(problem.hold, 1)
     refuse_outside(problem.scenario, at)
     first = 1 if problem.scenario.encoder.velocity == "difference" else 0
@@ -175,7 +181,11 @@ def row_at(problem: Problem, at: float) -> int:
 
 
 def run_to(problem: Problem, row: int) -> Instant:
-    """Simulate to a row and return the state there; SimulationError if the run stops, or the contact changes there."""
+    """Simulate to a row and return the state there.
+
+    Raises SimulationError if the run stops before, or the contact changes there: an impact, a touchdown, the end of a
+        slip ...
+    """
     stepper = Stepper(problem, PINOCCHIO)
     stepper.let(None)
     h = problem.h
@@ -243,7 +253,11 @@ def run_on(problem: Problem, instant: Instant, rows: int, kick: float = 0.0) -> 
 
 
 def rows_on(problem: Problem, instant: Instant, rows: int, kick: float = 0.0) -> Array:
-    """Run the loop on from an instant; return up to `rows` of its rows. `kick`: on f_des at the first sample, N."""
+    """Run the whole loop on from an instant and return the next rows as they are recorded, (rows, ...).
+
+    `rows`: how many; less if the run ends or stops before.
+    `kick`: added to f_des at the first sample, N.
+    """
     problem = problem.with_robot(problem.robot.again())
     record, n = np.zeros((problem.steps + 1, problem.row_width)), problem.robot.n
     driver = Driver(problem, record)
@@ -288,7 +302,10 @@ def without_event(time: float) -> Iterator[None]:
 
 @dataclass
 class Here:
-    """Evaluations at states beside that of an instant, without stabiliser, as if the surface moved with the tip."""
+    """Evaluations at states beside that of an instant, without the stabiliser.
+
+    So a tip that is off the surface, or moves off it, is one whose surface has been moved.
+    """
 
     problem: Problem
     instant: Instant
@@ -471,7 +488,10 @@ class Here:
         return H, np.array(w.tip.A), np.array(w.tip.frame), np.array(w.tip.S)
 
     def moved(self, depth: float) -> Instant:
-        """Return the instant with the tip moved along the normal until it is so deep, m, in a soft surface."""
+        """Return the instant with the tip moved along the normal until it is so deep, m, in a soft surface.
+
+        Nothing but geometry is asked: where the tip was, this surface may not carry it.
+        """
         instant, problem = self.instant, self.problem
         q, v = instant.values["q"].copy(), instant.values["v"].copy()
         for _ in range(20):

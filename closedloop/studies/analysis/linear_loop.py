@@ -124,7 +124,11 @@ class Margins:
 
 
 def margins_of(transfer: Callable[[Array], ComplexArray], grid: Array, cut: str, stable: bool) -> Margins:
-    """Return the margins of a loop transfer L at frequencies, Hz; on the `grid` (k,) L turns little between two."""
+    """Return the margins of a loop transfer L.
+
+    `transfer`: L at frequencies, Hz.
+    `grid` (k,): frequencies, Hz, in order, close enough to each other that L turns little from one to the next.
+    """
     L = transfer(grid)
     closed = bool(np.max(np.abs(L)) > OPEN)
     nan = math.nan
@@ -175,10 +179,16 @@ PASSIVE, SAMPLING = 1e-6, 0.1
 class Port:
     """How the tip yields to a force along the normal, as the surface sees it: Y = v/f.
 
-    `frequency`, `admittance` (k,): Hz, up to half of the sampling rate, and Y, m/s/N, the velocity of the tip along n
-    to f.
-    `passive`: whether Re Y ≥ 0 at all of them: then the loop is stable on every passive surface.
-    `active_at`: where Re Y is the most negative, relative to |Y|, Hz; None if it is passive.
+    Attributes
+    ----------
+    frequency : (k,) array
+        Hz, up to half of the sampling rate.
+    admittance : (k,) array of complex
+        Y, m/s/N: the velocity of the tip along n to f.
+    passive : bool
+        Whether Re Y ≥ 0 at all of them: then the loop is stable on every passive surface.
+    active_at : float or None
+        The frequency at which Re Y is the most negative, relative to |Y|, Hz; None if it is passive.
     """
 
     frequency: Array
@@ -403,7 +413,10 @@ class LinearLoop:
         return Port(f, Y, passive, None if passive else float(f[worst]))
 
     def to_control(self) -> Any:
-        """Return it as a `control.StateSpace`; raises ScenarioError if python-control is not installed."""
+        """Return it as a `control.StateSpace`.
+
+        Raises ScenarioError if python-control is not installed.
+        """
         try:
             import control
         except ImportError:

@@ -117,7 +117,12 @@ KICKED, MIDDLE = 0.25, 0.625
 
 
 class Stability:
-    """The loops of a scenario with other numbers, about one motion, at an instant, s, or half of the duration."""
+    """The loops of a scenario with other numbers, about one motion.
+
+    `at`: the instant, s; half of the duration if left out.
+    `model`: the robot to use instead of loading `scenario.robot.model`.
+    Raises ClosedLoopError as `linearise`.
+    """
 
     def __init__(self, scenario: Scenario, at: float | None = None, *, model: RobotModel | None = None) -> None:
         self.scenario, self._model, self._cache = scenario, model, Cache()
@@ -167,8 +172,9 @@ class Stability:
     ) -> tuple[list[Limit], str]:  # fmt: skip
         """Return every limit in a range, and why values of it are refused, "" if none is.
 
-        Where there can be no scenario the range ends; a value without a linear loop is named, and the search goes on
-        behind it.
+        Beyond a value that there can be no scenario with, the range ends. A value at which there is no linear loop, as
+        where a drive is at its limit, is named, and the search goes on behind it.
+
         `looks`: at how many values the range is looked at: two limits between neighbours are not seen.
         """
         given = dict(given or {})
@@ -224,11 +230,14 @@ class Stability:
         self, over: Range, along: Range, points: int = 60, tolerance: float = LIMIT_TOLERANCE,
         stop: Callable[[], bool] = lambda: False,
     ) -> list[tuple[float, Limit]]:  # fmt: skip
-        """Return the boundary over two keys: for values of `along`, the limits of `over`, until `stop` is true.
+        """Return the boundary over two keys: for values of `along`, the limits of `over`.
 
-        The first value's whole range is looked at; then limits are followed, and looked for again where one ends. A
-        second process takes every other value, if it can. Without a limit at `FIRST_LOOKS` values the others are not
-        looked at.
+        At the first value the whole range is looked at; then each limit is followed from value to value, and the
+        range is looked at again where one ends. If it can be, every other value is left to a second process. Where
+        none of `FIRST_LOOKS` values over the whole way has a limit, the others are not looked at.
+
+        `over`, `along`: the key that is solved for, and the one that is stepped along.
+        `stop`: asked at each value of `along`: if it is true, what is found until then is returned.
         """
         shares = np.linspace(0.0, 1.0, points)
         first = shares[evenly(points, FIRST_LOOKS)]
@@ -290,8 +299,9 @@ class Stability:
     def try_beside(self, limit: Limit, given: Mapping[str, Value] | None = None) -> list[Trial]:
         """Run the whole nonlinear loop on from the instant below and above a limit; see `Trial`.
 
-        The linear loop is that of the middle of these runs. Left out is what becomes stable or unstable as the posture
-        changes, what has no scenario or no linear loop, and a pole too slow for what is left of the run.
+        The linear loop beside it is that of the middle of these runs: on the way the arm's posture changes. Left out is
+        what becomes stable or unstable by that, what the scenario may not be, what has no linear loop, and a pole too
+        slow for what is left of the run.
         """
         trials = []
         for factor in (1.0 - BESIDE, 1.0 + BESIDE):
@@ -316,9 +326,10 @@ class Stability:
         return trials
 
     def _seen(self, problem: Problem, instant: Instant, frequency: float, rows: int) -> float:
-        """Return the rate with which two runs grow apart that begin a little apart, 1/s; NaN of too few periods.
+        """Return the rate with which two runs grow apart that begin a little apart, 1/s.
 
-        It is that of what oscillates at the pole's frequency, Hz, while both are near each other.
+        It is that of what oscillates at the pole's frequency, Hz, while both runs are near each other: modes that are
+        slower and die out may be larger. NaN if too few periods are left of the run.
         """
         kick = KICK * max(1.0, abs(instant.force))
         with_it, without = (run_on(problem, instant, rows, size) for size in (kick, -kick))

@@ -90,8 +90,9 @@ class Comparison:
         return pd.DataFrame.from_dict(rows, orient="index").rename_axis("scenario")
 
     def figure(self, ax: Axes | Sequence[Axes] | None = None) -> Figure:
-        """Return a figure: for each value a point a run, scenarios side by side, medians; `ax`: see
-        `closedloop.figures`.
+        """Return a figure: for each value a point a run, the scenarios beside one another, and a bar at the median.
+
+        With `ax` it is drawn on axes of the caller's, see `closedloop.figures`.
         """
         from closedloop.figures.style import MANY, panels, styled
 
@@ -314,7 +315,10 @@ class LogComparison:
         return plain(report)
 
     def figure(self, ax: Axes | Sequence[Axes] | None = None) -> Figure:
-        """Return a figure of log and run, and their difference, for each quantity; `ax`: see `closedloop.figures`."""
+        """Return a figure: log and run one over the other, and their difference below, for each quantity.
+
+        With `ax` it is drawn on axes of the caller's, see `closedloop.figures`.
+        """
         from closedloop.figures.style import MANY, legend_beside_title, panels, styled
 
         with styled():

@@ -67,8 +67,9 @@ class Reason:
 
 
 def explain(residual: Array, hypotheses: Sequence[Hypothesis], size: float = 0.0) -> list[Reason]:
-    """Return the hypotheses that explain a residual (N,), rounding beside `size` excepted, the one that explains most
-    first.
+    """Return the hypotheses that explain a residual (N,), the one that explains most of what is left first.
+
+    `size` is the RMS of the signal: a residual that is rounding beside it needs no reason.
     """
     whole = float(residual @ residual)
     if whole <= len(residual) * (NOTHING * size) ** 2:
@@ -256,9 +257,14 @@ def read_recording(
     path: str | Path, robot: RobotModel, *, columns: Mapping[str, str] | None = None, degrees: bool = False,
     gain: float | Sequence[float] | None = None,
 ) -> Recording:  # fmt: skip
-    """Read a log or a run file, as `closedloop.studies.identify.read.read_log`, of "force" and "speed" too.
+    """Read a log or a run file.
 
-    Of "force" there may be one name, or three with commas between.
+    `path`: .csv, .parquet, .nc, .mcap, .db3 or a folder of rosbag2.
+    `robot`: whose joints the columns are of.
+    `columns`: of "time", "q", "torque", "force", "speed" to names, as `closedloop.studies.identify.read.read_log` takes
+        them; of "force" one name, or three with commas between.
+    `degrees`: whether angles are in degrees.
+    `gain`, float or (n,), optional: what torques are multiplied by: N m/A of currents, which need one.
     Raises LogError if the file cannot be read, a column is missing, a value is not finite, or time jumps.
     """
     path, given = Path(path), dict(columns or {})
@@ -303,7 +309,10 @@ def _found(table: dict[str, Array], what: str, usual: list[list[str]], asked: st
 
 
 def checked(recording: Recording, robot: RobotModel) -> Recording:
-    """Return the recording, of this robot, every value finite, rows evenly spaced; else raises LogError."""
+    """Return the recording, of this robot, with every value finite and rows evenly spaced.
+
+    Raises LogError if it has another number of rows or joints, a value that is not finite, or time that jumps.
+    """
     where, time = recording.source, np.asarray(recording.time, dtype=np.float64)
     N = len(time)
     if N < FEWEST:
@@ -398,9 +407,10 @@ def audit(
 ) -> Audit:
     """Compare the force of a recording with that of its motion and torques.
 
-    `normal` (N, 3): of the surface at each row, base axes; `cutoff`: of the low-pass, Hz, by default ten times the
-    motion's.
-    `struck` (m,): instants of impacts, s, from which rows that the filter reaches are left out.
+    `normal` (N, 3): of the surface at each row, base axes.
+    `cutoff`: of the low-pass, Hz; ten times that of the motion if left out.
+    `struck` (m,): instants of impacts, s: an impulse is in the motion and in no force, and rows that the filter reaches
+        from there are left out.
     Raises LogError if there is no torque or no force, or no rows are left.
     """
     at, expected, f, explained, cutoff = expected_force(recording, robot, cutoff, struck)
@@ -425,8 +435,9 @@ def expected_force(
 ) -> tuple[NDArray[np.int64], Array, Array, float, float]:
     """Return the force on the tip that follows from motion and torques, beside the recorded one; see `audit`.
 
-    These are rows (R,), the force there (R, 3), N, base axes, the recorded one of all rows, filtered, the share of
-    torque beyond motion and drives that a force at the tip explains, and the cutoff, Hz.
+    These are rows (R,), the force expected there (R, 3), N, base axes, the recorded one of all rows with the same
+    filter, (N,) or (N, 3), N, the share of the torque beyond that of motion and drives that a force at the tip
+    explains, and the cutoff, Hz.
     """
     torque, force = recording.torque, recording.force
     if torque is None or force is None:

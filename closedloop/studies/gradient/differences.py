@@ -179,8 +179,10 @@ class Output:
 
 
 def output(name: str, run: Run, *, whole: bool = False) -> Output:
-    """Return the quantity of a name: ``rms_force_error``, ``contact_force@3.5``, ``q@end``, ``event_time``.
+    """Return the quantity that a name asks for.
 
+    `name`: a value of the summary, ``rms_force_error``; a column at the row nearest to an instant,
+        ``contact_force@3.5``, ``q@end``; or a column of the table of events, ``event_time``.
     `whole`: whether columns are taken whole, and nothing else.
     """
     column, at, instant = name.partition(AT)
@@ -378,7 +380,10 @@ class Estimate:
 
 
 def two_sided(h: float, at: Array, minus: Array, plus: Array, scatter: Array | None = None) -> Estimate:
-    """Return the derivatives from values at 0, (M,), and ∓h, ∓h/2, ∓h/4, (3, M) each, which may scatter, (M,)."""
+    """Return the derivatives from values at 0, (M,), and at −h, −h/2, −h/4 and h, h/2, h/4, (3, M).
+
+    The values scatter by `scatter`, (M,), and by `ROUNDING` of themselves if it is left out.
+    """
     steps = h * 0.5 ** np.arange(LEVELS)[:, None]
     value, error = _extrapolated((plus - minus) / (2.0 * steps), 2)
     scatter = ROUNDING * np.abs(at) if scatter is None else scatter
@@ -472,7 +477,12 @@ def along(
     keys: Keys, directions: list[Direction], base: Sample, read: Callable[[Run], Array], model: RobotModel | None,
     report: Callable[[int, int], None], workers: int | None = None,
 ) -> dict[Direction, Along]:  # fmt: skip
-    """Return the derivatives of all quantities, which `read` returns of a run, (M,), along each direction."""
+    """Return the derivatives of all quantities along each direction.
+
+    `base`: the run itself.
+    `read`: returns all quantities of a run, (M,).
+    `report`: gets (runs done, runs in all) of the table at hand.
+    """
     found = {direction: Along(count=base.values.size) for direction in directions}
     scatter = (LOCATED if base.happened else ROUNDING) * np.abs(base.values)
     if keys.scenario.time.integrator in ADAPTIVE and directions:
@@ -536,7 +546,10 @@ def _take(
 
 
 def better(one: Estimate, other: Estimate) -> Estimate:
-    """Return the better of two estimates; a kink that the other's shorter steps do not see is beside the point."""
+    """Return the better of two estimates, quantity by quantity; the other is of shorter steps.
+
+    A kink that shorter steps do not see is beside the point, not at it.
+    """
     take = (other.error < one.error) | (one.kink & ~other.kink)
     parts = ("value", "error", "below", "above", "kink")
     return Estimate(*(np.where(take, getattr(other, part), getattr(one, part)) for part in parts))

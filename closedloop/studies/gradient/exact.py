@@ -259,9 +259,9 @@ def not_unique(run: Run) -> NotUnique | None:
 def grazes(run: Run) -> list[str]:
     """Return in words where a step does not tell whether an open contact of a link touches between two rows.
 
-    A parabola through three rows has its least value up to a h²/8 below them, a the gap's second derivative: a contact
-    that is nearer may touch and part without an event. The tip's least gap, and adaptive integrators' contacts, are
-    located.
+    With the gap's second derivative a, a parabola through three rows has its least value up to a h²/8 below the rows. A
+    contact that is nearer than that may touch and part again, or not, and the run has no event. A tip's least gap is
+    located in the run itself, and an integrator that chooses its steps finds all of them.
     """
     if not run.scenario.contact or len(run) < 3 or run.scenario.time.integrator in ADAPTIVE:
         return []
@@ -398,7 +398,8 @@ def _tree_constants(start: Prepared) -> int:
 def _the_same(run: Run, start: Prepared, duals: DualRun) -> bool:
     """Whether the values of a run of dual numbers are those of the plain run, events too, but for rounding.
 
-    A search may end with another Newton step for the derivatives, as that which closes loops.
+    They are to the last bit, but where a search ends with another Newton step for the derivatives, as that which closes
+    the loops of a mechanism.
     """
     columns = columns_of_rows(start.problem, duals.rows[..., 0], duals.table[..., 0])
     columns |= positions_told(start.problem, columns) | event_columns(duals.events[..., 0])

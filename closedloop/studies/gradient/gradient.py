@@ -285,7 +285,10 @@ class Sensitivities(Gradient):
     time: Array
 
     def figure(self, ax: Axes | Sequence[Axes] | None = None) -> Figure:
-        """Return a figure: a panel for each column and key, a line for each entry; `ax`: see `closedloop.figures`."""
+        """Return a figure: for each column and key a panel, in it a line for each entry of both.
+
+        With `ax` it is drawn on axes of the caller's, see `closedloop.figures`.
+        """
         from closedloop.figures.style import MANY, legend_beside_title, panels, styled
 
         pairs = [(of, key) for of, by_key in self.derivative.items() for key in by_key]

@@ -113,7 +113,10 @@ class Identification:
         raise KeyError(f"{name!r}: the parameters are {', '.join(self.regressor.names)}")
 
     def joints(self, kind: str) -> tuple[Estimate, ...]:
-        """Return the estimates of a kind, "dry" or "Izz", joint by joint; ModelError if there are none."""
+        """Return the estimates of a kind, "viscous", "dry", "offset", "drive_inertia" or "Izz", joint by joint.
+
+        Raises ModelError if the joints have no such parameters.
+        """
         if kind not in self.regressor.kinds:
             raise ModelError(f"joints({kind!r}): a kind of parameter must be one of {', '.join(self.regressor.kinds)}")
         return tuple(self[f"{kind}_{joint}"] for joint in self.robot.joint_names)
@@ -125,7 +128,11 @@ class Identification:
 
     @property
     def not_physical(self) -> tuple[Estimate, ...]:
-        """What dissipates or stores energy, and is surely below zero, even if a torque as the residual is missing."""
+        """What dissipates or stores energy, and is surely below zero.
+
+        Its whole interval is, and a torque that the model lacks, if it is as large as the residual, does not make it
+        so. Filters leave such a torque, too, where there is no noise.
+        """
         told = zip(self.estimates, self.solution.lacking, strict=True)
         bounded = ((e, lacking) for e, lacking in told if e.name.startswith(equations.BOUNDED) and e.name == e.grouping)
         return tuple(e for e, lacking in bounded if max(e.high, e.value + lacking) < 0.0)

@@ -92,7 +92,9 @@ class Log:
 def checked(log: Log, robot: RobotModel) -> Log:
     """Return the log with its joints in the robot's order.
 
-    Raises LogError if rows, joints, values, time or units cannot be right, or no joint moves.
+    Raises LogError: a number of rows or joints is wrong, a value is not finite, time jumps or runs backwards, the
+        joints are others, units cannot be those of SI, velocities are not the rates of the positions, or no joint
+        moves.
     """
     where, n = log.source, robot.n
     time, q, torque = (np.ascontiguousarray(x, dtype=np.float64) for x in (log.time, log.q, log.torque))
@@ -321,7 +323,11 @@ def white_noise(x: Array) -> Array:
 
 
 def count_of(x: Array) -> Array:
-    """Return each column's size of a count, (n,): its least change if rows repeat and all are multiples; else 0."""
+    """Return the size of a count in each column, (n,), the least change of it; 0 where it does not count.
+
+    What counts has rows that repeat others, and its changes are whole multiples of the least. A joint that rests and
+    then moves smoothly has changes of any size.
+    """
     steps = np.abs(np.diff(x, axis=0))
     repeated = (steps == 0.0).any(axis=0)
     steps[steps <= ROUNDING * np.abs(x).max(axis=0)] = np.inf
@@ -336,8 +342,9 @@ def count_of(x: Array) -> Array:
 def between_counts(q: Array) -> Array:
     """Return positions (N, n) that encoders count, with those between two counts where there are counts.
 
-    Two rows between which the count changes tell the position to the way of one row; between such instants Akima's
-    cubics do, within half a count: where a joint is slow the error of a count is no white noise.
+    A row tells a position to half a count; two rows between which the count changes tell it to the way of one row,
+    which is less where a joint is slow: there the error of a count lasts for many rows, and is no white noise. Between
+    such instants the position is interpolated (Akima's cubics), within half a count of its reading.
     """
     found = np.array(q)
     for j, count in enumerate(count_of(q)):
@@ -390,15 +397,20 @@ def usual_cutoff(log: Log) -> float:
 
 
 def speed_noise(log: Log, cutoff: float) -> Array:
-    """Return the standard deviation (n,) of a log's filtered speeds, rad/s (m/s), by noise and counts of q."""
+    """Return the standard deviation (n,) of the speeds of a log's motion, rad/s (m/s), by the noise of its positions.
+
+    A count passes the filter as a pulse of about one count times the cut-off.
+    """
     white = 2.0 * np.pi * white_noise(log.q) * np.sqrt(2.0 * log.step * cutoff**3 / 3.0)
     return np.asarray(np.maximum(white, count_of(log.q) * cutoff))
 
 
 def motion(log: Log, cutoff: float, half: int | None = None) -> Motion:
-    """Return the motion and the torques of a log, low-passed at `cutoff`, Hz, in windows of half its period.
+    """Return the motion and the torques of a log.
 
-    `half`: every other row of positions from this one on is used, so that two motions have noise that is independent.
+    `cutoff`: of the low-pass, Hz, below half the rate of the log. A window is half its period.
+    `half`: every other row of the positions is used, from this one on: the others are replaced by what lies between
+        them, so that two motions of one log have noise that is independent.
     """
     step, N = log.step, len(log.time)
     if not 0.0 < cutoff < 0.5 / step:

@@ -113,7 +113,11 @@ def _of_database(file: Path) -> Iterator[tuple[str, str, Any]]:
 
 
 def _rows(file: Path, kinds: Sequence[str], done: Done) -> list[tuple[str, str, bytes]]:
-    """Return topic, type and data of messages of these types in a database of rosbag2, in order, from tables alone."""
+    """Return topic, type and data of the messages of these types in a database, in the order of their times.
+
+    Only tables are asked, in the form that rosbag2 has: a query of a view, or of a column that is computed, may have no
+    end.
+    """
     connection = sqlite3.connect(f"{file.resolve().as_uri()}?mode=ro", uri=True)
     connection.set_progress_handler(done.check, CHECKED)  # what it raises ends the query
     try:
@@ -219,7 +223,10 @@ def factors_of(gain: float | Sequence[float] | None) -> Array:
 
 
 def log_of_run(run: Run, source: str = "the run") -> Log:
-    """Return the log of a run, the tip's force in its torques; LogError of links' contacts and elastic joints."""
+    """Return the log of a run: encoders where it has them, and torques that the force on the tip is added to.
+
+    Raises LogError if links have contacts, or joints are elastic: their torques are not those of the drives alone.
+    """
     from closedloop.mechanics.robot.pinocchio import Robot
 
     if run.scenario.contact or "motor_position" in run.specs:
@@ -339,7 +346,10 @@ def _netcdf(path: Path) -> dict[str, Array]:
 
 @cache
 def unit_behind(name: str, what: str) -> tuple[str, float | None]:
-    """Return a column's name in lower case without its unit, and the factor of that; None of one not in `UNITS`."""
+    """Return the name of a column without the unit behind it, in lower case, and what the unit multiplies values by.
+
+    A unit that a quantity, a key of `UNITS`, does not have is part of the name, and the factor is then None.
+    """
     units, found = UNITS[what], _UNIT.search(name)
     if found and found[1].strip().lower() in units:
         return name[: found.start()].strip().lower(), units[found[1].strip().lower()]
@@ -366,7 +376,8 @@ def columns_named(
 ) -> list[Array] | None:
     """Return the columns of a quantity with these names in SI units, or None if one of them is not there.
 
-    Case does not matter; factors are by the unit behind a name of `names`, else `said`, else that of the column's name.
+    They may have another case, and a unit behind. Values are multiplied by what the unit behind a name of `names` says,
+    or else by `said`, or else by what the unit behind the column's own name says.
     """
     found = []
     for name in names:
@@ -397,8 +408,10 @@ def joints_of(
     table: dict[str, Array], what: str, given: dict[str, str], robot: RobotModel, path: Path, degrees: bool = False,
     currents: bool = True,
 ) -> Array | None:  # fmt: skip
-    """Return the columns of a quantity, (N, n), in SI units, or None; torques whose unit is a current's need
-    `currents`.
+    """Return the columns of a quantity, (N, n) in the robot's order and SI units, or None if it is not there.
+
+    Angles are in degrees if `degrees`, whatever unit is behind the names of their columns. Without `currents` torques
+    whose unit is that of a current are refused.
     """
     n, angles = robot.n, degrees and what in ("q", "v")
     said = [ANGLES["deg"] if angles and kind != "prismatic" else None for kind in robot.joint_types]

@@ -189,7 +189,8 @@ class Regressor:
     def certain(self, x: Motion) -> NDArray[np.bool_]:
         """Return (R, n) whether the friction of a joint has one sign, that is sure, throughout a window.
 
-        Near a change the joint may stick, and its filtered velocity has the wrong sign: both bias the friction.
+        Near a change of sign the joint may stick, and the filtered velocity has the wrong sign for a moment. Both
+        reduce the estimate of the dry friction and raise that of the viscous friction.
         """
         R, D = len(x.time), x.size
         good = np.ones((R, self.n), dtype=bool)
@@ -271,7 +272,10 @@ def base_parameters(regressor: Regressor, seed: int = 0) -> BaseParameters:
 
 
 def _preferred(regressor: Regressor, there: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return the columns in the order to be kept: friction, links' moments, masses, drives, which act like moments."""
+    """Return the columns in the order in which they are kept: friction, moments of links, then masses and drives.
+
+    The inertia of a drive comes last: where it acts as a link's moment of inertia does, it is part of that.
+    """
     inertial = 10 * regressor.n
     names = regressor.names
 
@@ -345,8 +349,10 @@ def fit(
 ) -> Fit:  # fmt: skip
     """Fit the parameters of W (R, n, b) to torques (R, n), by least squares or with instruments Z (R, n, b).
 
-    `used` (R, n): which torques count; `told` (b,): parameters to be found, by default what `seen`, or W, tells apart.
+    `used` (R, n): which torques count.
+    `told` (b,): parameters to be found; the others are 0. What the rows tell apart, if not given.
     `least` (n,): standard deviation that the noise of the torques has at least, N m.
+    `seen` (R, n, b): in place of W, what tells parameters apart.
     """
     n, b = W.shape[1:]
     Z = W if Z is None else Z
@@ -392,7 +398,10 @@ def fit(
 
 
 def _covariance(rows: Array, X: Array, torque: Array, residual: Array, used: Mask, sigma: Array) -> tuple[Array, Array]:
-    """Return the covariance (b, b) of Σ_t rows_tᵀ u_t, `rows` (R, n, b), as wide as Student's, and φ (n,) of u."""
+    """Return the covariance (b, b) of Σ_t rows_tᵀ u_t, as wide as Student's intervals are, and φ (n,) of the noise u.
+
+    `rows` are (R, n, b); of the others see `_autoregression`.
+    """
     n = len(sigma)
     phi, step, unsure = _autoregression(X, torque, used, sigma)
     innovation = np.where(used[1:] & used[:-1], residual[1:] - phi * residual[:-1], 0.0)
@@ -431,9 +440,11 @@ def _covariance(rows: Array, X: Array, torque: Array, residual: Array, used: Mas
 
 
 def _autoregression(X: Array, torque: Array, used: Mask, sigma: Array) -> tuple[Array, Array, Array]:
-    """Return φ, s (n,) and the covariance (2n, 2n) of φ and log s² of the noise, of greatest restricted likelihood.
+    """Return φ and s (n,) of the noise of each joint, which maximise the restricted likelihood of torques (R, n), and
+    the covariance (2n, 2n) of φ and log s².
 
-    `X` (R, n, b): columns that are told apart, of about one length, over `sigma` (n,), where the search begins.
+    `X` (R, n, b): columns that are told apart; of about one length, each row over `sigma`.
+    `sigma` (n,): standard deviation of the noise, where the search begins.
     """
     n, b = X.shape[1:]
     both = used[1:] & used[:-1]
@@ -474,9 +485,12 @@ def _autoregression(X: Array, torque: Array, used: Mask, sigma: Array) -> tuple[
 
 
 def told_apart(square: Array) -> tuple[Mask, list[tuple[int, ...]]]:
-    """Return which columns of X are told from all others, by XᵀX (b, b), and for each that is not, what it looks like.
+    """Return which columns of X are told from all others, and for each that is not, which it looks like.
 
-    A column is not told if what the others do not explain is below `UNIQUE` of it; the least told is taken out first.
+    A column is not told if it is zero, or if the part of it that the others do not explain is below `UNIQUE` of it. Of
+    columns that look alike one is taken out after the other, the least told first, and the rest is asked again.
+
+    `square` (b, b): XᵀX.
     """
     b = len(square)
     size = np.sqrt(np.maximum(np.diag(square), 0.0))

@@ -177,7 +177,10 @@ def friction_section(found: Identification) -> str:
 
 
 def robot_files(found: Identification, parameters: Array, source: str) -> tuple[str, str]:
-    """Return a URDF with the inertia of all parameters (p,), what is fixed to a link part of it, and its sidecar."""
+    """Return a URDF with the inertia of parameters (p,), all of the regressor's, and its sidecar, as texts.
+
+    What is fixed to a link is part of it, as it was in the log, and has no inertia of its own any more.
+    """
     import pinocchio as pin
 
     robot = found.robot

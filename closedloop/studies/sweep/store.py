@@ -124,7 +124,8 @@ def run_part(
 ) -> tuple[pa.Table, dict[str, Array]]:
     """Run the runs from number `first` on, with these values of the keys.
 
-    Returns a table with a row a run, and the columns kept, (runs, rows) or (runs, rows, k), NaN after a run's last row.
+    Returns a table with a row for each run, and the columns kept, (runs, rows) or (runs, rows, k); after a run's last
+    row they are NaN.
     """
     came_to: dict[int, Outcome] = {}
     for block in in_blocks(_variants(job), points, job.engine, job.runs, lanes=not job.law):
@@ -178,7 +179,9 @@ def occupied(out: Path, why: str) -> OccupiedError:
 class Store:
     """The folder of a sweep's parts; used as a context, which holds the lock.
 
-    `overwrite`: whether the parts of another sweep, of another `identity`, are removed.
+    `identity`: what the sweep is, see `closedloop.studies.sweep.sweep.Sweep.identity`.
+    `out`: the table that the parts will become.
+    `overwrite`: whether the parts of another sweep are removed.
     Raises OutputError if the folder cannot be written, is another sweep's, or is being written by another process.
     """
 
@@ -381,7 +384,12 @@ OF_CHUNK = 400
 def write_columns(
     path: Path, store: Store, parts: int, attributes: dict[str, str], step: float, check: Callable[[], None]
 ) -> None:
-    """Write the whole columns of all parts into a file, or raise OutputError; `check` is called between parts."""
+    """Write the whole columns of all parts into a file.
+
+    `step`: time between the rows of a run, s, where the runs do not say.
+    `check`: called between two parts; it may raise.
+    Raises OutputError.
+    """
     runs, rows = store.identity["runs"], 0
     widths: dict[str, tuple[int, ...]] = {}
     for part in range(parts):
@@ -478,8 +486,10 @@ def already_there(identity: dict[str, Any], out: Path) -> Joined | None:
 
 
 def join(store: Store, out: Path, parts: int, columns: pa.Schema, step: float) -> Joined:
-    """Make the table of the parts, and remove them; `step`: of the rows of a run, s, where the runs do not say.
+    """Make the table of the parts, and remove them.
 
+    `out`: the table.
+    `step`: time between the rows of a run, s, where the runs do not say.
     Raises OutputError if a file cannot be written; the parts stay.
     """
     description = {METADATA: json.dumps({"format": FORMAT, "identity": store.identity})}

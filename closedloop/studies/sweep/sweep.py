@@ -96,7 +96,12 @@ class Axis:
 
 
 def parse_axis(text: str, drawn: bool = False) -> Axis:
-    """Read an axis from KEY=VALUES: 5:15:11, log:1e-4:1e-2:20, rk4,euler; if `drawn` without how many."""
+    """Read an axis from KEY=VALUES.
+
+    `text`: ``law.force=5:15:11``, ``stabiliser.time_constant=log:1e-4:1e-2:20``,
+        ``time.integrator=rk4,explicit_euler``.
+    `drawn`: whether values are drawn from the range, so that how many there are need not be said.
+    """
     if not text.isprintable():
         raise ScenarioError(f"--over {text}: has characters that cannot be printed")
     key, equals, spec = text.partition("=")
@@ -192,8 +197,10 @@ MOST_LATIN = 1_000_000
 class Design(Sequence[tuple[Any, ...]]):
     """The values of the axes' keys for every run.
 
-    `kind`: every value with every other, the last axis fastest; `count` independent draws; or draws of which each axis
-    has exactly one in each of `count` equal intervals (McKay, Beckman and Conover 1979).
+    `kind`: every value with every other, the last axis fastest; independent draws, even along each axis; or draws of
+        which each axis has exactly one in each of `count` equal intervals (McKay, Beckman and Conover 1979).
+    `count`: number of draws.
+    `seed`: of the draws.
     """
 
     def __init__(self, axes: Sequence[Axis], kind: str = GRID, count: int = 0, seed: int = 0) -> None:
@@ -350,11 +357,14 @@ def run_sweep(
 ) -> Joined:  # fmt: skip
     """Run what is not yet there of a sweep, and join its parts into the table.
 
-    `out`: a Parquet file; whole columns go into a NetCDF file beside it, parts into a folder until all are there.
-    `scheduler`: address of a Dask scheduler, ``tcp://host:port``, whose workers run the parts in place of threads.
-    `progress`: gets (runs done, runs in all); `overwrite`: whether another sweep's table is replaced, its parts at
-    once.
-    Raises OutputError if `out` cannot be written, or is another sweep's; ClusterError if the scheduler is lost.
+    `out`: the table, a Parquet file; whole columns go into a NetCDF file of the same name beside it, parts into a
+        folder until all are there.
+    `workers`: threads; as many as there are cores if left out.
+    `scheduler`: address of a Dask scheduler, ``tcp://host:port``, whose workers run the parts instead.
+    `progress`: gets (runs done, runs in all).
+    `overwrite`: whether a file there that is not this sweep's is replaced once this one is done; its parts go at once.
+    Raises OutputError if `out` cannot be written, or is there already and not this sweep's.
+    Raises ClusterError if the scheduler does not answer, or is lost on the way; what was done is kept.
     """
     out = Path(out)
     threads = threads_for(sweep.engine, workers)
@@ -416,10 +426,12 @@ def run_on_cluster(
     sweep: Sweep, kept: store.Store, missing: Sequence[int], address: str, finished: Callable[[int], None],
     report: Callable[[], None],
 ) -> None:  # fmt: skip
-    """Run the missing parts of a sweep and write them; `finished` gets the runs that have come back.
+    """Run the missing parts of a sweep and write them.
 
-    Raises ScenarioError without Dask or scheduler; ClusterError if the cluster is lost, or a part killed too many
-    workers.
+    `finished`: gets how many runs have come back.
+    `report`: shows how far it is.
+    Raises ScenarioError if Dask is not installed, or there is no scheduler at this address.
+    Raises ClusterError if the cluster is lost on the way, or a part killed too many workers; what was written stays.
     """
     try:
         import distributed as dask_distributed

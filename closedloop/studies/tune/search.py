@@ -61,7 +61,12 @@ class Found:
 
 
 class Search:
-    """A search over n numbers, of so many iterations from each start; it remembers every point."""
+    """A search; it remembers every point.
+
+    `evaluate`: see `Evaluate`.
+    `n`: numbers that vary.
+    `iterations`: largest number of iterations of each start.
+    """
 
     def __init__(self, evaluate: Evaluate, n: int, robust: str = WORST, iterations: int = 60) -> None:
         self._evaluate, self.n, self.robust, self.iterations = evaluate, n, robust, iterations

@@ -102,8 +102,10 @@ class Limit:
 
 
 def varied(scenario: Scenario, vary: Mapping[str, Sequence[float]], log: Sequence[str] = ()) -> list[Varied]:
-    """Return the numbers that vary; of the keys `log` evenly in their logarithms.
+    """Return the numbers that vary.
 
+    `vary`: keys, of a number, a list, or an entry of a list such as ``law.kp[1]``.
+    `log`: those whose ranges are even in their logarithms.
     Raises ScenarioError if a key is unknown or no real number, or a range has no two ends.
     """
     found: dict[str, Varied] = {}
@@ -163,7 +165,11 @@ MEANINGLESS = SHAKEN | {"gains", "resolution"}
 class Runs:
     """Evaluates points of a tuning; see `closedloop.studies.tune.search.Evaluate`.
 
-    `minimise`: values of the summary and weights; `over`: variations, all combined; `kept`: file of what has been run.
+    `some`: what varies.
+    `minimise`: values of the summary and their weights: their weighted sum is minimised.
+    `over`: variations, every value of a key with every value of the others.
+    `kept`: file of what has been run.
+    `report`: gets the number of runs done.
     """
 
     def __init__(
@@ -232,8 +238,9 @@ class Runs:
         return self._run([own], whatever=True)[0]
 
     def _run(self, changed: list[dict[str, Any]], whatever: bool = False) -> Array:
-        """Run these overrides under all variations in a batch; without `whatever` a run that means nothing has no
-        values.
+        """Run the scenario with each of these overrides under all variations, in one batch.
+
+        Without `whatever` a run has no values if they mean nothing.
         """
         rows = [change | variation for change in changed for variation in self.variations]
         changes = {key: [row[key] for row in rows] for key in rows[0]}
@@ -437,7 +444,10 @@ class Tuning:
         })  # fmt: skip
 
     def figure(self, ax: Axes | None = None) -> Figure:
-        """Return a figure of the contact force before and now, without variations; `ax`: see `closedloop.figures`."""
+        """Return a figure of the contact force before and now, of the scenario without variations.
+
+        With `ax` it is drawn on axes of the caller's, see `closedloop.figures`.
+        """
         from closedloop.figures.style import COLOURS, legend_beside_title, panels, styled
         from closedloop.studies.gradient.differences import simulated
 

@@ -115,7 +115,8 @@ def touch_of(recording: Recording, robot: Robot, normal: Array) -> Touch:
 def touch_of_speed(recording: Recording, normal: Array) -> Touch:
     """Return the same of a recording of force and speed alone, of a tip that moves along the normal.
 
-    Its height is the integral of its speed, whose sign continues the rows before; deeper, a tip has a larger force.
+    Its height above where it is in the first row is the integral of its speed. Of a size the sign is that which
+    continues the rows before, and of both signs of the whole the one with which a deeper tip has a larger force.
     """
     time, force, speed = recording.time, recording.force, recording.speed
     if force is None or speed is None:
@@ -149,8 +150,8 @@ def _averaged(x: Array) -> Array:
 def _told(touch: Touch) -> Touch:
     """Return it with the rows that are free and closed.
 
-    Free is above where large forces are by more than such forces sink in; closed what has a force beyond that of free
-    rows.
+    What lifts the tip above where large forces are, by more than such forces sink in, is free, whatever the sensor's
+    bias is; what has a force beyond that of free rows is closed.
     """
     f, height = touch.along, touch.height
     noise = float(motion.white_noise(f[:, None])[0])
@@ -274,7 +275,10 @@ def missed(
 
 
 def spread(values: Callable[[Array], Array], at: Array, covariance: Array) -> Array:
-    """Return the covariance that values have by that, (m, m), of nuisance parameters `at` (m,): by differences."""
+    """Return the covariance that values of nuisance parameters `at` (m,) with a covariance (m, m) have because of it.
+
+    The values are differentiated by central differences of one deviation.
+    """
     size = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     slopes = [
         (values(at + s * e) - values(at - s * e)) / (2.0 * s) if s > 0.0 else np.zeros_like(values(at))

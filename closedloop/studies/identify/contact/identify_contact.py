@@ -120,9 +120,10 @@ def _cubics(t: Array, height: Array, sigma: float) -> Cubics:
 
 
 def _longest(side: list[Cubics]) -> int:
-    """Return how many of `LENGTHS` are good on one side of all impacts: while rates are those of fewer, but for noise.
+    """Return how many of `LENGTHS` are good on one side of all impacts.
 
-    (O. Lepski, Theory of Probability and its Applications 35 (1990) 454-466.)
+    More rows are taken while the rates that they give are those of fewer, but for their noise: what a cubic lacks must
+    stay below noise (O. Lepski, Theory of Probability and its Applications 35 (1990) 454-466).
     """
     for longer in range(1, len(LENGTHS)):
         for shorter in range(longer):
@@ -248,7 +249,10 @@ class ContactIdentification:
         })  # fmt: skip
 
     def figure(self, ax: Axes | Sequence[Axes] | None = None) -> Figure:
-        """Return a figure of each part, measured, predicted and residual; `ax`: see `closedloop.figures`."""
+        """Return a figure of the measured and the predicted values of each part, and the residual.
+
+        With `ax` it is drawn on axes of the caller's, see `closedloop.figures`.
+        """
         from closedloop.figures.style import COLOURS, legend_beside_title, panels, styled
 
         drawn = [part for part in self.parts if len(part.time)]
@@ -387,8 +391,9 @@ def _allow_for_counts(
 ) -> None:
     """Let intervals contain what the counts of encoders do to the estimates, which `fit` finds in a recording.
 
-    They bias what is fitted: the motion below the cutoff, Hz, is counted anew from other beginnings, beside the same
-    forces, and its estimates differ from those without counts as much as those of the log are off.
+    Errors of counts follow the motion for many rows: they are no noise, and bias what is fitted. The motion below the
+    cutoff, Hz, is counted anew from other beginnings, beside the same forces. By how much its estimates then differ
+    from those without counts is how much those of the log are off.
     """
     size = motion.count_of(recording.positions)
     if not size.any():
@@ -412,7 +417,10 @@ def _allow_for_counts(
 
 
 def contact_recording(run: Run, source: str = "the run") -> tuple[Recording, Array]:
-    """Return the log of a run as its encoders and its sensor have it, with the row's friction, and the normal."""
+    """Return the log of a run as its encoders and its sensor have it, with a force of three components, and the normal.
+
+    The normal force is the sensor's reading; friction is that of the row.
+    """
     normals = run.surface_normal
     if not run.scenario.has_surface or run.scenario.surface.kind != "plane" or np.ptp(normals, axis=0).max() > 0.0:
         raise LogError(f"{source}: its surface is not a plane at rest: contacts are identified on planes")

@@ -241,7 +241,7 @@ class Lab(Pages):
     `front`: whether the page begins with the scenarios that ship, to choose one.
     `ghosts`: bodies that are shown beside those of each run, until another scenario is chosen.
     `act`, `details`, `map_work`: the parts that know the whole: `closedloop.lab.start.act`,
-        `closedloop.lab.details.Details`, `closedloop.lab.mapping.MapWork`; see `closedloop.lab.start.begun`.
+        `closedloop.lab.start.Details`, `closedloop.lab.mapping.MapWork`; see `closedloop.lab.start.begun`.
     `after_show`, list of callable: called with each `Answer` whose curves were sent.
     `folder`, Path or None: where folders for files are made; "out" in the current folder if None.
     Raises ScenarioError or ModelError if the scenario that it begins with is at fault.

@@ -71,49 +71,28 @@ def write_netcdf(
     import h5py
 
     def write(out: Any) -> None:
-        # As h5netcdf does, which looks each dimension up again for each variable: that took three times as long.
-        place = {name: np.int32(k) for k, name in enumerate(dimensions)}
-        for name in (each for each in place if each not in variables):
-            empty = {"maxshape": None if dimensions[name] else (None,), "track_order": True}
-            scale = out.create_dataset(name, (dimensions[name],), ">f4", **empty)
-            scale.make_scale(b"This is a netCDF dimension but not a netCDF variable.%10d" % dimensions[name])
-            scale.attrs["_Netcdf4Dimid"] = place[name]
+        out.dimensions = {name: length or None for name, length in dimensions.items()}  # it knows no empty one
         for name, (dims, data, texts) in variables.items():
             kind = h5py.string_dtype() if data.dtype == object else data.dtype
-            most = tuple(dimensions[each] or None for each in dims)  # an empty dimension of NetCDF is one that grows
-            grows = {"maxshape": most} if None in most else {}
-            made = out.create_dataset(name, data=data, dtype=kind, track_order=True, **grows)
-            if name in place:
-                made.make_scale(name)
-            made.attrs["_Netcdf4Coordinates"] = np.array([place[each] for each in dims])
-            made.attrs["_Netcdf4Dimid"] = place[dims[0]]
-            made.attrs.update(texts)
-        scales = {name: out[name] for name in place}
-        for name, (dims, _, _) in variables.items():
-            for of_axis, each in zip(out[name].dims if name not in place else (), dims, strict=False):
-                of_axis.attach_scale(scales[each])
+            out.create_variable(name, dims, kind, data=data).attrs.update(texts)
         out.attrs.update(attributes)
 
     texts = [*attributes.values(), *(text for each in variables.values() for text in each.attributes.values())]
     numbers = sum(each.data.nbytes + OF_VARIABLE for each in variables.values())
-    return write_reserved(path, numbers + 4 * sum(len(str(text)) for text in texts), write, then, h5py.File)
+    return write_reserved(path, numbers + 4 * sum(len(str(text)) for text in texts), write, then)
 
 
 def write_reserved(
-    path: Path, room: int, write: Callable[[Any], None], then: Callable[[BinaryIO], None] = lambda file: None,
-    form: Callable[..., Any] | None = None,
-) -> Path:  # fmt: skip
-    """Let a function write a file for which so many bytes are reserved, beside those for an empty one.
-
-    As an `h5netcdf.File`, or in another `form`.
-    """
+    path: Path, room: int, write: Callable[[Any], None], then: Callable[[BinaryIO], None] = lambda file: None
+) -> Path:
+    """Let a function write an `h5netcdf.File` for which so many bytes are reserved, beside those for an empty one."""
     import h5netcdf
 
     def whole(file: BinaryIO) -> None:
         empty = io.BytesIO()
         h5netcdf.File(empty, "w").close()
         file.write(empty.getbuffer())  # a file that HDF5 makes it would truncate, and so give the room back
-        with (form or h5netcdf.File)(file, "r+") as out:
+        with h5netcdf.File(file, "r+") as out:
             write(out)
         file.seek(0, io.SEEK_END)
         then(file)

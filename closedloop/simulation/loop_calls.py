@@ -288,8 +288,8 @@ def begun(
 
 
 # A copy of the loop's memory: whole numbers, real ones before and behind the batch of rows that wait for their
-# condition numbers, that batch if the next row completes it, whether the scenario's law had started, and the memory of
-# the links' contacts. The batch is most of the memory, and the rows in it stay as they are until it begins anew. (A
+# condition numbers, that batch if the next row completes it, whether the scenario's law had started, and of the links'
+# contacts what lasts. The batch is most of the memory, and the rows in it stay as they are until it begins anew. (A
 # tuple with names would take longer to make, at every step, and arrays twice as long to copy there and back as bytes.)
 Mark = tuple[bytes, bytes, bytes, bytes, bool, tuple[bytes, ...]]
 _REAL = Struct("d")
@@ -328,8 +328,8 @@ class Stepper:
         self._before: Any = values[:begin]
         self._batch: Any = values[begin:end]
         self._behind: Any = values[end:]
-        contacts = w.kept.get("contacts", ())
-        self._of_contacts: tuple[Any, ...] = tuple(block.memory.data.cast("B") for block in contacts)
+        lasting = w.kept["contacts"].lasting if "contacts" in w.kept else ()
+        self._of_contacts: tuple[Any, ...] = tuple(memory.data.cast("B") for memory in lasting)
         self._own = int(state.settings.general), int(state.law.entry), int(state.compensation.entry)
         self._torque: Any = w.torque.data
         make_ready(*([collide] if state.settings.unilateral or state.contacts.at else []), complete_record)

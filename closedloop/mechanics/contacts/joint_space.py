@@ -88,8 +88,7 @@ class JointSpace(Block, sizes=("n", "k")):
     number: Annotated[Array, K]  # of each among all contacts
     packed_at: Annotated[Array, K]  # and of each of all in the problem, −1 if it takes no part
     residual: float  # as a share of `asked`
-    asked: float  # the largest velocity at the step's beginning, or the next, m/s
-    gained: float  # the largest that smooth forces add, in the last step in which a contact took part, m/s
+    asked: float  # the largest velocity at the step's beginning, or what smooth forces add to one, m/s
 
 
 @kernel

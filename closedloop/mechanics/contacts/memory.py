@@ -8,9 +8,10 @@ force of another. Every contact has three rows, along its normal and two tangent
 stop are ± q̇ of its joint, or ± L̇ of its tendon, and two of zeros, in rad (m) and N m (N).
 """
 
-from typing import Annotated, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from closedloop.base.arrays import Array
 from closedloop.jit.blocks import Block, Count
@@ -121,6 +122,7 @@ class TimeStep(Block, sizes=("n", "k")):
     within: float  # the same of the substep under way
     force: Annotated[Array, 3 * K]  # N
     reach: float  # m, within which contacts are near
+    gained: float  # the largest that smooth forces add, in the last step in which a contact took part, m/s
     struck: float  # when the last tangential impact was, s
     in_vain: float  # 1 if there were no modes after it; 0 again likewise
     at_once: float  # 1 while its impulses have just been written
@@ -236,8 +238,6 @@ class Contacts(Block, sizes=("n", "k", "past")):
     a: Annotated[Array, 3 * K]  # acceleration without contacts, m/s²
     size: Annotated[Array, 3 * K]  # of the terms that it is made of, m/s²; zero of a contact that is not near
     b: Annotated[Array, 3 * K]  # what the stabiliser asks for, m/s²
-    G: Annotated[Array, 3 * K, N]
-    X: Annotated[Array, 3 * K, N]  # L⁻¹ Gᵀ, less what loops bind
     S: Annotated[Array, K, 3, 3]  # mobility of each by itself, 1/kg
     F: Annotated[Array, 3 * K]  # force, N, or impulse, N s
     rigid: Annotated[Array, 3 * K]  # the force without the stabiliser's part, N
@@ -250,6 +250,9 @@ class Contacts(Block, sizes=("n", "k", "past")):
     problem: Problem
     event: ContactEvent
     step: TimeStep
+    # From here on all is written anew wherever it is read, see `ContactMemory.lasting`.
+    G: Annotated[Array, 3 * K, N]
+    X: Annotated[Array, 3 * K, N]  # L⁻¹ Gᵀ, less what loops bind
     stepping: JointSpace
     given: GivenModes
     scratch: ContactScratch
@@ -287,6 +290,13 @@ class ContactMemory(NamedTuple):
     def address(self) -> int:
         """Return what `contacts_at` takes."""
         return int(self.links.address)
+
+    @property
+    def lasting(self) -> tuple[NDArray[Any], ...]:
+        """Return the memory that outlives an evaluation: a fiftieth of all, of twenty boxes."""
+        first = Contacts.place("G", *self.contacts.sizes)
+        assert isinstance(first, slice)
+        return self.links.memory, self.contacts.memory[: first.start]
 
 
 def make_contact_memory(

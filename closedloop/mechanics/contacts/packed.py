@@ -17,7 +17,7 @@ def is_known(links: ContactLinks, c: Contacts, i: int) -> bool:
 def pack_contacts(links: ContactLinks, c: Contacts, share: float) -> int:
     """Write the problem of the contacts whose form is not OFF, with `share` of known forces; return how many."""
     s, a = c.stepping, 0
-    s.asked = s.largest = s.residual = 0.0
+    s.asked = s.largest = s.residual = s.held = 0.0
     for i in range(links.k):
         s.packed_at[i] = -1.0
         form = c.problem.form[i]

@@ -56,7 +56,7 @@ def look_ahead(c: Contacts, k: int, h: float, first: bool) -> None:
     fastest = 0.0
     for i in range(3 * k):
         fastest = max(fastest, abs(c.u[i]))
-    c.step.reach = math.inf if first else HOVERING + 2.0 * h * (fastest + c.stepping.gained)
+    c.step.reach = math.inf if first else HOVERING + 2.0 * h * (fastest + c.step.gained)
 
 
 @kernel
@@ -160,7 +160,7 @@ def put_back(links: ContactLinks, c: Contacts, a: int, h: float) -> None:
 def write_problem(links: ContactLinks, c: Contacts, load: Array, h: float, rest_speed: float, share: float) -> int:
     """Write the contacts that take part, packed, with rebounds times `share`; return their number."""
     s, a, n, gained = c.stepping, 0, links.n, 0.0
-    s.asked = 0.0
+    s.asked = s.held = 0.0
     for i in range(links.k):
         s.packed_at[i] = -1.0
         if c.near[i] == 0.0:
@@ -200,8 +200,8 @@ def write_problem(links: ContactLinks, c: Contacts, load: Array, h: float, rest_
             s.q[3 * a] += s.beside[a]
         s.packed_at[i] = a
         a += 1
-    s.gained = gained if a > 0 else s.gained
-    s.asked = max(s.asked, s.gained)
+    c.step.gained = gained if a > 0 else c.step.gained
+    s.asked = max(s.asked, c.step.gained)
     return a
 
 

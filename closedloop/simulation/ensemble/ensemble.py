@@ -48,7 +48,7 @@ class _One:
         assert isinstance(batch, slice)
         assert isinstance(after, slice)
         memory = [self.loop.state.memory, w.memory[: batch.start], w.memory[after.start :]]
-        memory += [block.memory for block in self.loop.w.kept.get("contacts", ())]
+        memory += self.loop.w.kept["contacts"].lasting if "contacts" in self.loop.w.kept else ()
         marks = [each.copy() for each in memory]
         reading = Work.place("sensing.measured", *sizes)
         assert isinstance(reading, int)

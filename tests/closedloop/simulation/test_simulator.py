@@ -366,6 +366,36 @@ def test_a_saved_state_goes_on_as_if_nothing_had_been(engine, saved_at):
         cl.Simulator(scenario).restore(saved)
 
 
+@pytest.mark.parametrize(
+    ("name", "changes"),
+    [
+        ("cube_toss", {"time.duration": 0.45}),  # it lands, slips and tumbles
+        ("cube_toss", {"time.duration": 0.45, "time.integrator": "time_stepping"}),
+        ("push_block", {"time.duration": 0.3}),
+        ("hand_rolls", {"time.duration": 0.1}),
+        ("gripper_block", {"time.duration": 0.2}),
+        ("quadruped", {"time.duration": 0.1}),
+    ],
+)
+def test_what_no_copy_of_the_memory_has_is_written_anew(name, changes):
+    """Rows and scratch of the contacts, filled with NaN before each torque, do not tell in any column."""
+    scenario, runs = cl.load_scenario(name, changes), []
+    for filled in (False, True):
+        sim = cl.Simulator(scenario, engine="compiled")
+        torque = np.zeros(len(sim.reset().torque))
+        contacts = sim._stepper.loop.w.kept["contacts"].contacts
+        while not sim.done:
+            if filled:
+                for rows in (contacts.G, contacts.X):
+                    rows[rows != 0.0] = np.nan
+                for block in (contacts.stepping, contacts.given, contacts.scratch):
+                    block.memory[:] = np.nan
+            sim.step(torque)
+        runs.append(sim.run())
+    assert max(np.abs(runs[0].columns[each]).max() for each in runs[0].columns if "force" in each) > 0.0
+    assert_same(*runs)
+
+
 def test_a_run_begins_where_another_ended():
     """`run.state` are overrides of a scenario; a row that is not there is refused."""
     scenario = cl.load_scenario("wam_slide", {"time.duration": 0.7})

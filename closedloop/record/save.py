@@ -39,7 +39,7 @@ from closedloop.jit.user_code import source_digest
 from closedloop.record.columns.derived import as_text, columns_by_contact
 from closedloop.record.columns.record import Record, in_order
 from closedloop.scenario.scenario import NO_ROBOT, Scenario, families
-from closedloop.scenario.tables import labels_of, tangents_of
+from closedloop.scenario.tables import labels_of, patches_of, tangents_of
 from closedloop.scenario.user_module import members_of_users
 from robot_models import RobotModel
 from robot_models.collision import digest_of
@@ -416,12 +416,15 @@ def save_run(run: Record, path: str | Path) -> Path:
     Raises OutputError if the file cannot be written.
     """
     variables = variables_of(run)
-    for name, (whole, k) in columns_by_contact(run.scenario.contact or ()).items():  # again, each by its contact's name
-        variables[name] = Variable(("time",), run.columns[whole][:, k], variables[whole].attributes)
+    sections = run.scenario.contact or ()
+    alone = {points[0] for points in patches_of(sections).values() if len(points) == 1}
+    for name, (whole, k) in columns_by_contact(sections).items():  # again, of a single point, by its contact's name
+        if k // (2 if "contact_tangent" in variables[whole].dims else 1) in alone:
+            variables[name] = Variable(("time",), run.columns[whole][:, k], variables[whole].attributes)
     dimensions = {"time": len(run), "joint": run.model.n, "axis": 3, "event": len(run.events)}
     if run.model.balls:
         dimensions["coordinate"] = len(run.model.coordinate_names)
-    if contacts := len(run.scenario.contact or ()):
+    if contacts := len(sections):
         dimensions |= {"contact": contacts, "contact_tangent": 2 * contacts}
     own = {spec.dims[1]: run.columns[name].shape[1] for name, spec in run.added.items() if len(spec.dims) == 2}
     dimensions = own | dimensions

@@ -162,6 +162,17 @@ def test_labels_are_never_the_same():
         assert len(set(labels_of(sections(*names)))) == len(names)
 
 
+def test_points_of_one_table_are_in_the_file_once(tmp_path):
+    """Twenty boxes have thousands of points: each a variable of its own took two minutes to write."""
+    run = cl.simulate(cl.load_scenario("cube_toss", {"time.duration": 0.004}))
+    assert run.link_forces.shape == (len(run), 8)
+    with h5py.File(run.save(tmp_path / "run.nc")) as file:
+        assert file["link_forces"].shape == run.link_forces.shape
+        assert [name for name in file if name.startswith("link_forces")] == ["link_forces"]
+    label = labels_of(run.scenario.contact)[3]
+    assert np.array_equal(getattr(run, f"link_forces_{label}"), run.link_forces[:, 3])
+
+
 def test_contacts_have_columns_by_their_names(tmp_path):
     """In run.nc, as attributes, and in CSV, where two names that differ in a space have columns of their own."""
     short = {"time.duration": 0.004}

@@ -126,7 +126,7 @@ def columns() -> Iterator[str]:
         if title.startswith("With contacts"):
             yield from ("", "Each contact has them by its name as well: of one called `floor left` they are")
             yield "`link_forces_floor_left` (N,), `link_slips_floor_left_t1` ..., attributes of a run and variables of"
-            yield "`run.nc`; the points of one table or shape are attributes only, in `run.nc` they are in `link_forces`."
+            yield "`run.nc`. The points of one table or shape are attributes only: `run.nc` has them in `link_forces`."
             yield "Where two names would give one label, each has the number of its section behind it, the first 1: of"
             yield "`pad one` and `pad-one`, `pad_one_1` and `pad_one_2`."
     yield from ("", "## States of the law, and columns of your own", "")

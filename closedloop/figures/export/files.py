@@ -111,6 +111,7 @@ def _write(run: Run, file: BinaryIO) -> None:
     names, q = list(run.model.joint_names), loop_positions(run)
     nothing, unturned = np.zeros(3), {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}
     wanted, commanded = run.reference_tip, bool(np.any(run.reference_force))
+    bears = np.any(run.link_forces, axis=0) if run.scenario.contact else []
     start = {"stamp": _stamp(0.0), "frame_id": base}
     points: Any = [] if isinstance(run.scenario.law, NoLaw) else thin_out(wanted, PATH_POINTS)
     poses = [{"position": _vector(point), "orientation": unturned} for point in points]
@@ -131,8 +132,9 @@ def _write(run: Run, file: BinaryIO) -> None:
         if commanded:
             send_wrench("/commanded_wrench", run.reference_force[k] * run.surface_normal[k], nothing, time, base)
         send_wrench("/wrist_wrench", run.wrist_wrench[k, :3], run.wrist_wrench[k, 3:], time, scene.tip)
-        for touching, arrow in zip(scene.touching, scene.between_links(k, *there), strict=True):
-            send_wrench(f"/contacts/{touching.name}", arrow.force, nothing, time, base)
+        for touching, arrow, some in zip(scene.touching, scene.between_links(k, *there), bears, strict=True):
+            if some:  # of thousands of points of boxes few ever touch
+                send_wrench(f"/contacts/{touching.name}", arrow.force, nothing, time, base)
         for name, frame, force, couple in reactions:
             send_wrench(f"/loops/{name}", force[k], couple[k], time, frame)
     for event in run.events:

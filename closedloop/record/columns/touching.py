@@ -48,7 +48,7 @@ class Touching(NamedTuple):
     ) -> tuple[Array, Array]:
         """Return where the contact is (3,), m, and the force (3,), N, on the link that has the point, base frame.
 
-        If it is `flat`, all of these may have the same further axes before theirs.
+        If it is `flat`, all of these may have the same further axes before theirs. What bears nothing is at its point.
 
         `normal`: along the normal, N.
         `friction` (2,): along the tangents, N.
@@ -57,6 +57,8 @@ class Touching(NamedTuple):
         """
         place = origins[..., self.point_frame, :] + axes[..., self.point_frame, :, :] @ self.point
         turn, frame = axes[..., self.plane_frame, :, :], self.axes
+        if np.ndim(normal) == 0 and normal == 0.0 and not np.any(friction):
+            return place, np.zeros(3)
         if self.edge is not None:
             return self._of_edges(place, float(normal), friction, axes, origins)
         if self.box is not None:

@@ -307,6 +307,7 @@ def test_mcap_of_bodies_without_a_law_has_no_path_and_no_command(tmp_path):
     topics = {message.channel.topic for message in reader.read_ros2_messages(str(file))}
     assert "/tip_pose" in topics
     assert not topics & {"/commanded_wrench", "/desired_position", "/desired_path"}
+    assert not any(topic.startswith("/contacts/") for topic in topics)  # it has not come down yet
 
 
 def test_mcap_has_the_forces_between_links(tmp_path):

@@ -151,7 +151,7 @@ def test_bodies_do_not_go_into_each_other(name, deepest):
             apart = separation(half[i], axes[i], half[j], axes[j], q[i, :3] - q[j, :3])
             assert apart > -(deepest if row < 1500 else 1e-8)
     assert np.max(np.abs(run.v[-1])) < 1e-5
-    # The points of a pair are numbered anew at each row: a force of one beside the gap of another, 1 m, counted 100 N m.
+    # Points of a pair are numbered anew at each row: a force of one beside the gap of another, 1 m, counted 100 N m.
     found = contact_faults(run)
     assert np.max(found.complementarity) < 0.2 * np.max(run.link_forces) * deepest
 

@@ -148,7 +148,8 @@ def read_sealed(path: Path, names: list[str]) -> tuple[Attributes, Columns]:
     except (FileNotFoundError, NotADirectoryError, ValueError):  # ValueError: a null byte in the name
         raise RunFileError("there is no such file") from None
     if not stat.S_ISREG(found.st_mode):
-        raise RunFileError(f"is {kind_of(found.st_mode)}, not a run file")
+        inside = "; name the run.nc in it" if (path / "run.nc").exists() else ""
+        raise RunFileError(f"is {kind_of(found.st_mode)}, not a run file{inside}")
     with path.open("rb") as file:
         file.seek(max(0, found.st_size - SEAL_LENGTH))
         source: str | BinaryIO = str(path)

@@ -103,6 +103,9 @@ def test_file_that_is_not_there(name, tmp_path):
     """A missing file, or a folder, is said to be none."""
     with pytest.raises(cl.RunFileError, match=r"no such file|is a folder, not a run file"):
         cl.load_run(tmp_path / name)
+    (tmp_path / "run.nc").touch()
+    with pytest.raises(cl.RunFileError, match=r"is a folder, not a run file; name the run\.nc in it|no such file"):
+        cl.load_run(tmp_path / name)
 
 
 def test_loaded_robot_is_inspected_like_a_strangers_text(saved):

@@ -158,7 +158,7 @@ class Events {
     const more = run.events > run.marks.length ? make("p", { className: "hint", textContent: `the first ${run.marks.length} of ${run.events} events` }) : "";
     this.element.replaceChildren(...(rows.length
       ? [table(["time [s]", "event", "of", "where [m]"], rows, (k) => this.seek(this.marks[k].time)), more]
-      : [make("p", { className: "hint", textContent: "Nothing happened to the contact in this run: it neither began nor ended, stuck nor slipped." })]));
+      : [make("p", { className: "hint", textContent: "No event in this run: no contact began or ended, stuck or slipped, or the integrator is time stepping, which locates no events." })]));
   }
 }
 

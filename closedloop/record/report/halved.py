@@ -130,12 +130,13 @@ def _events(run: Record, other: Record) -> dict[str, dict[str, Any]]:
 def step_error(run: Record) -> dict[str, Any]:
     """Return the part ``step_error`` of the summary: by how much f, N, and the tip, m, differ at half the step.
 
-    ``force`` and ``position`` are None where they are not known; ``why_not`` says why, or is None.
+    ``force`` and ``position`` are None where they are not known; ``why_not`` says why, or is None. Without a surface
+    there is no f.
     """
     if run.halved is None:
         own = run.scenario.time.integrator in ADAPTIVE
         return {"force": None, "position": None, "why_not": OWN_STEPS if own else NOT_HALVED}
-    found = {name: run.halved[name] for name in ("force", "position")}
+    found = {"force": run.halved["force"] if run.scenario.has_surface else None, "position": run.halved["position"]}
     return found | {"why_not": None if run.halved["rows"] else "no row could be compared"}
 
 

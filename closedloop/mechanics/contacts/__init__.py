@@ -8,6 +8,6 @@ unknown_modes  forces or impulses in Coulomb's cones that solve all contacts tog
 modes, impact  what happens in an event
 turning        friction of contacts that slip slowly, with the forces, and when the first of these slips ends
 time_step      one step at the level of impulses, where no modes agree, and the tangential impact
-stepping       time stepping: each step at that level; `order` of the joints in it
+stepping       time stepping: each step at that level
 surfaces       those that are curved or move
 """

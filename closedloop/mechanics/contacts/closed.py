@@ -6,7 +6,7 @@ from closedloop.mechanics.closure.contact_force import pressed_force, stuck_forc
 from closedloop.mechanics.closure.solve import OK
 from closedloop.mechanics.contacts.given_modes import solve_modes
 from closedloop.mechanics.contacts.memory import OFF, RAY, ContactLinks, Contacts
-from closedloop.mechanics.contacts.packed import is_known
+from closedloop.mechanics.contacts.unknown_modes import is_known
 from closedloop.mechanics.limits import DEPENDENT
 
 

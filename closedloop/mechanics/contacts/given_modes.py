@@ -38,7 +38,6 @@ from closedloop.mechanics.contacts.memory import (
     joints_of,
 )
 from closedloop.mechanics.contacts.mobility import added, force_size, write_motion
-from closedloop.mechanics.contacts.packed import is_known, pack_contacts
 from closedloop.mechanics.contacts.resistance import (
     add_turning,
     is_resistance,
@@ -48,6 +47,7 @@ from closedloop.mechanics.contacts.resistance import (
     turns_with,
 )
 from closedloop.mechanics.contacts.soft import write_shared
+from closedloop.mechanics.contacts.unknown_modes import is_known, pack_contacts
 from closedloop.mechanics.limits import (
     DEPENDENT,
     EXACT,

@@ -84,7 +84,7 @@ class JointSpace(Block, sizes=("n", "k")):
     matrix: Annotated[Array, N, N]
     row: Annotated[Array, 3, N]
     until: Annotated[Array, N]  # see `eliminate`
-    order: Annotated[Array, N]  # the place of each joint in this problem, see `closedloop.mechanics.contacts.order`
+    order: Annotated[Array, N]  # the place of each joint in this problem, see `closedloop.mechanics.contacts.stepping`
     number: Annotated[Array, K]  # of each among all contacts
     packed_at: Annotated[Array, K]  # and of each of all in the problem, −1 if it takes no part
     residual: float  # as a share of `asked`

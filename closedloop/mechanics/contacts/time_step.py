@@ -25,9 +25,8 @@ from closedloop.mechanics.contacts.given_modes import energy_gained
 from closedloop.mechanics.contacts.joint_space import find_exactly, solve_in_joint_space
 from closedloop.mechanics.contacts.memory import CONE, DOUBLE, LINE, OFF, RAY, ContactLinks, Contacts
 from closedloop.mechanics.contacts.modes import happened_to, touches, write_before
-from closedloop.mechanics.contacts.packed import pack_contacts, unpack_contacts
 from closedloop.mechanics.contacts.resistance import form_of_resistance, is_resistance, mode_of_resistance
-from closedloop.mechanics.contacts.unknown_modes import solve_impulses
+from closedloop.mechanics.contacts.unknown_modes import pack_contacts, solve_impulses, unpack_contacts
 from closedloop.mechanics.limits import SMALL, TENTH, TIME_STEP_SPAN
 
 # Speeds at which contacts come together in the problems near it, of the largest speed.

@@ -39,9 +39,9 @@ from closedloop.mechanics.contacts.joint_space import (
 )
 from closedloop.mechanics.contacts.memory import CONE, DOUBLE, INSIDE, LINE, OFF, RAY, ContactLinks, Contacts, joints_of
 from closedloop.mechanics.contacts.mobility import added, force_size, write_motion
-from closedloop.mechanics.contacts.packed import pack_contacts, unpack_contacts
 from closedloop.mechanics.contacts.resistance import is_resistance
 from closedloop.mechanics.contacts.soft import drop_contradictions, shared_friction, some_share
+from closedloop.mechanics.contacts.unknown_modes import pack_contacts, unpack_contacts
 from closedloop.mechanics.limits import (
     DEPENDENT,
     EXACT,

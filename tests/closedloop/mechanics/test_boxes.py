@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 import closedloop as cl
 from closedloop.jit.interpreted import interpreted
 from closedloop.mechanics.contacts.memory import make_contact_memory
-from closedloop.mechanics.contacts.order import order_joints
+from closedloop.mechanics.contacts.stepping import order_joints
 from closedloop.mechanics.loops.boxes import BoxPair, touch_boxes
 from closedloop.record.columns.touching import contact_torques
 from closedloop.record.report.summary import contact_faults

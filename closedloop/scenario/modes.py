@@ -42,6 +42,7 @@ from closedloop.jit.parameters import per_joint
 from closedloop.mechanics.closure.baumgarte import linear_step
 from closedloop.mechanics.closure.contact_force import PRESSED
 from closedloop.mechanics.contacts.sections import ContactSection
+from closedloop.mechanics.contacts.soft import is_soft
 from closedloop.mechanics.friction.bristle import bristle
 from closedloop.mechanics.friction.law import JointFriction, joint_parameters, surface_parameters
 from closedloop.mechanics.integrators import ADAPTIVE, INTEGRATORS
@@ -52,7 +53,6 @@ from closedloop.mechanics.surface.surface import Compliance
 from closedloop.scenario.arm import joint_friction_of, start_posture
 from closedloop.scenario.scenario import Scenario
 from closedloop.scenario.tables import patches_of
-from robot_models.loop_joint import WORLD
 
 # Without a spring there is a double eigenvalue one, which rounding of 1e-16 splits by its square root, 1e-8.
 GROWING = 1.0 + 1e-6
@@ -290,31 +290,35 @@ def _scalar(spring: str, stiffness: float, damper: str, damping: float) -> Feedb
 
 
 class Pressed(NamedTuple):
-    """Where contacts of links press: q (n,), and the normal force of each there, N."""
+    """Where contacts of links press: q (n,), the normal force of each there, N, and what moves their points.
+
+    That are the rows (k, 3, n) of those that press, along the normal and two tangents of each.
+    """
 
     q: Array
     load: Array
+    rows: Array
 
 
-def where_they_press(q: Array, forces: Array) -> Pressed | None:
-    """Return the row of q (N, n) in which contacts press as they mostly do, of forces (N, k), N; None if never."""
+def where_they_press(
+    q: Array, forces: Array, rows_at: Callable[[int, NDArray[np.bool_]], Array]
+) -> Pressed | None:  # fmt: skip
+    """Return the row of q (N, n) in which contacts press as they mostly do, of forces (N, k), N; None if never.
+
+    `rows_at`: returns what the joints move the points of some contacts by in a row (k, 3, n), whatever their surfaces
+        (`closedloop.record.columns.touching.contact_rows`).
+    """
     pressed = forces > 0.0
     if not np.any(pressed):
         return None
     load = np.array([np.median(f[on]) if np.any(on) else 0.0 for f, on in zip(forces.T, pressed.T, strict=True)])
-    return Pressed(q[int(np.argmax(pressed.sum(axis=1)))], load)
-
-
-def is_soft(section: ContactSection) -> bool:
-    """Whether a contact of a point or a round shape with a plane has a compliance."""
-    plain = section.edge is None and section.box is None and section.surface is None and not isinstance(section.at, str)
-    return plain and section.compliance is not None and section.compliance.kind != "none"
+    row = int(np.argmax(pressed.sum(axis=1)))
+    return Pressed(q[row], load, rows_at(row, load > 0.0))
 
 
 def has_motion(section: ContactSection) -> bool:
     """Whether the friction of a contact has bristles, or a viscous part."""
-    law = section.friction_law
-    return any(hasattr(law, name) for name in ("stiffness", "viscous")) and not isinstance(section.at, str)
+    return any(hasattr(section.friction_law, name) for name in ("stiffness", "viscous"))
 
 
 def motions_of_contacts(
@@ -324,8 +328,8 @@ def motions_of_contacts(
     n, names = robot.n, {k: name for name, numbers in patches_of(sections).items() for k in numbers}
     terms = robot.terms(np.array(pressed.q), np.zeros(n))
     mobility = closed_mobility(robot, pressed.q, np.linalg.inv(terms.mass_matrix))
-    rows = {k: _rows(section, robot, pressed.q) for k, section in enumerate(sections) if pressed.load[k] > 0.0}
-    held = [rows[k][:1] for k in rows if sections[k].compliance is None and sections[k].surface is None]
+    rows = {int(k): pressed.rows[k] for k in np.flatnonzero(pressed.load > 0.0)}
+    held = [rows[k][:1] for k in rows if not is_soft(sections[k])]
     if held:
         mobility = held_at(np.vstack(held), mobility)
     found = []
@@ -351,29 +355,6 @@ def motions_of_contacts(
         if most > 0.0:
             found.append((key, mobility @ K, mobility @ D))
     return found
-
-
-def _rows(section: ContactSection, robot: Robot, q: Array) -> Array:
-    """Return what the joints move a contact's point by, along its normal and two tangents, (3, n)."""
-    at = section.at if not isinstance(section.at, str) else (0.0, 0.0, 0.0)
-    _, axes, origin = robot.frame_at(section.link, q)
-    point = origin + axes @ np.array(at)
-    normal = robot.frame_at(section.against, q)[1] @ np.array(section.normal)
-    if section.half_axes:  # the lowest point, see `closedloop.mechanics.contacts.rolling`
-        along = np.array(section.half_axes) @ axes.T @ normal
-        size = float(np.linalg.norm(along))
-        point = point - axes @ np.array(section.half_axes).T @ along / (size or 1.0)
-    moves = _moves(section.link, robot, q, point) - _moves(section.against, robot, q, point)
-    return np.linalg.svd(normal[None])[2] @ moves
-
-
-def _moves(frame: str, robot: Robot, q: Array, point: Array) -> Array:
-    """Return the Jacobian (3, n) of a point, base axes, that a frame carries."""
-    if frame == WORLD:
-        return np.zeros((3, robot.n))
-    carrier = Robot(robot.model, frame)
-    jacobian, lever = carrier.frame_jacobian(q), point - carrier.terms(q, np.zeros(robot.n)).position
-    return jacobian[:3] - np.cross(lever, jacobian[3:], axis=0)
 
 
 # A swing whose rate of decay or frequency is off by a tenth of |λ| is another swing: its damping ratio is off by 0.1.
@@ -623,7 +604,8 @@ def _modes(
     A = np.linalg.svd(normal[None])[2] @ terms.jacobian  # along the normal and two tangents
     S = A @ mobility @ A.T
     if scenario.compliance.kind != "none":
-        k, d = scenario.compliance.tangent(max(0.0, depth))
+        pressed = scenario.compliance.static_depth(max(0.0, scenario.law.force))
+        k, d = scenario.compliance.tangent(max(0.0, depth, pressed))
         modes.append(Mode("compliance", S[:1, :1] * k, S[:1, :1] * d, name))
     elif S[0, 0] > 0.0:  # a rigid surface holds the tip
         mobility = without_normal(mobility, A[0], A[0])

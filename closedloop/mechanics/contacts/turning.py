@@ -196,7 +196,7 @@ def level_of(c: Contacts, i: int) -> float:
 @kernel
 def turn_slips(links: ContactLinks, c: Contacts, h: float, begins: bool) -> float:
     """Write `along` of the contacts that slip slowly; return its largest change, of μ, negative if none was found."""
-    s, change, count = c.stepping, -1.0, pack_problem(links, c, h, False)
+    s, change, count = c.stepping, -1.0, pack_problem(links, c, h, False, begins)
     found = solve_within(links, c, count, 1.0 / h)
     if found and left_of_slips(c, count) < 0.0:
         c.problem.ends = 1.0
@@ -212,16 +212,18 @@ def turn_slips(links: ContactLinks, c: Contacts, h: float, begins: bool) -> floa
 
 
 @kernel
-def pack_problem(links: ContactLinks, c: Contacts, h: float, ends: bool) -> int:
+def pack_problem(links: ContactLinks, c: Contacts, h: float, ends: bool, begins: bool) -> int:
     """Write the problem, its q but for the slips divided by τ as `sought` too; return how many contacts it has.
 
-    Contacts whose slips end may part, or begin to slip: none is held.
+    Contacts whose slips end may part, or begin to slip: none is held. Else what stays against its slip is not turned:
+    forces of a problem that turned it would be those of another, and directions change from round to round without end.
     """
     s, k = c.stepping, links.k
     write_motion(c, k, c.viscous)
     for i in range(k):
         c.scratch.mu[i], c.scratch.start[3 * i + 2] = c.mu[i], c.problem.form[i]
-        form, slow = int(c.problem.form[i]), slips_slowly(c, i, h)
+        stays = stays_against(c, i, begins) and not ends
+        form, slow = int(c.problem.form[i]), slips_slowly(c, i, h) and not stays
         c.scratch.turned[i] = 1.0 if slow else 0.0
         for r in range(3 * i, 3 * i + 3 if form != OFF else 0):
             c.problem.q[r] = c.a[r] - (c.b[r] if r == 3 * i or not slow else 0.0) - added(c, r)
@@ -244,6 +246,12 @@ def pack_problem(links: ContactLinks, c: Contacts, h: float, ends: bool) -> int:
         if s.normal[i] == OWNED:
             s.P[3 * i] = 0.0
     return count
+
+
+@kernel
+def stays_against(c: Contacts, i: int, begins: bool) -> bool:
+    """Whether the friction of contact i has been found to stay against its slip, by what the step begins with."""
+    return bool((c.friction.next_against[i] if begins else c.friction.against[i]) != 0.0)
 
 
 @kernel
@@ -331,9 +339,12 @@ def turn(c: Contacts, i: int, x1: float, x2: float, begins: bool) -> float:
     drives = 0.0 * size if smooth else x1 * d1 + x2 * d2
     if begins:
         c.friction.next_against[i] = 1.0 if drives > 0.0 else 0.0
-    against = c.friction.next_against[i] if begins else c.friction.against[i]
     directed = size > 0.0 or (smooth and f != 0.0)  # what rolls on needs no friction
-    if not directed or against != 0.0 or (drives > 0.0 and speed <= STILL):
+    if stays_against(c, i, begins):
+        x1, x2 = c.scratch.start[n] - c.problem.along[i, 0], c.scratch.start[n + 1] - c.problem.along[i, 1]
+        c.problem.along[i, 0], c.problem.along[i, 1] = c.scratch.start[n], c.scratch.start[n + 1]
+        return float(math.hypot(x1, x2) / level)
+    if not directed or (drives > 0.0 and speed <= STILL):
         return 0.0
     if drives > 0.0:
         x1, x2 = x1 - 2.0 * drives * d1, x2 - 2.0 * drives * d2
@@ -359,7 +370,7 @@ def stop_slips(links: ContactLinks, c: Contacts, h: float) -> float:
     k = links.k
     for r in range(3 * k):
         c.before[r] = c.F[r]
-    count, rate = pack_problem(links, c, h, True), 0.0 * h
+    count, rate = pack_problem(links, c, h, True, True), 0.0 * h
     if count > 1 and solve_within(links, c, count, 1.0 / h):
         rate = shorten(links, c, count, h)
     unpack_contacts(links, c, count)

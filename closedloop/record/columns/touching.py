@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from closedloop.base.arrays import Array
+from closedloop.base.arrays import Array, Mask
 from closedloop.jit.interpreted import interpreted
 from closedloop.mechanics.contacts.edges import E1, ROUND1, choose_crossing, edges_of
 from closedloop.mechanics.contacts.rolling import SHAPE, lowest_point, make_shape_memory, shape_of
@@ -138,13 +138,37 @@ def contact_torques(
         links.
     """
     contacts, torques = contacts_of(scenario, mechanism), np.zeros((len(q), mechanism.nv))
-    frames = sorted({frame for each in contacts for frame in (each.point_frame, each.plane_frame)} - {0})
-    axes, origins, jacobians = frames_in_rows(mechanism, np.ascontiguousarray(q), frames)
+    axes, origins, jacobians = frames_in_rows(mechanism, np.ascontiguousarray(q), frames_of(contacts))
     carried = (forces, frictions, rolling, pivoting)
     for frame, wrench in wrenches_on_links(contacts, times, axes, origins, carried):
         if frame > 0:
             torques += np.einsum("kij,ki->kj", jacobians[frame], wrench)
     return torques
+
+
+def contact_rows(scenario: Scenario, mechanism: Any, time: float, q: Array, some: Mask) -> Array:
+    """Return what the joints move the points of some of the k contacts by, (k, 3, n); zeros of the others.
+
+    The rows of a contact are along its normal and its tangents, whatever its surface and the shape that touches it.
+
+    `time`: s.
+    `q` (nq,): rad (m), as Pinocchio has them.
+    `some` (k,): of which.
+    """
+    contacts, unit = contacts_of(scenario, mechanism), np.eye(3)[:, None] * some[:, None]
+    rows = np.zeros((len(contacts), 3, mechanism.nv))
+    axes, origins, jacobians = frames_in_rows(mechanism, np.tile(q, (3, 1)), frames_of(contacts))
+    carried = unit[..., 0], unit[..., 1:].reshape(3, -1), None, None
+    both = wrenches_on_links(contacts, np.full(3, time), axes, origins, carried)
+    for number, (link, wrench) in enumerate(both):  # of each contact on the one link, then on the other
+        if link > 0 and some[number // 2]:
+            rows[number // 2] += np.einsum("kij,ki->kj", jacobians[link], wrench)
+    return rows
+
+
+def frames_of(contacts: tuple[Touching, ...]) -> list[int]:
+    """Return the numbers of the joints' frames that contacts are between, without the base."""
+    return sorted({frame for each in contacts for frame in (each.point_frame, each.plane_frame)} - {0})
 
 
 def wrenches_on_links(

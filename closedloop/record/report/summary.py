@@ -7,13 +7,14 @@ over the rows is numpy's here.
 
 import math
 from collections.abc import Mapping
+from functools import partial
 from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.base.arrays import Array, plain
+from closedloop.base.arrays import Array, Mask, plain
 from closedloop.jit.interpreted import interpreted
 from closedloop.loop.events.table import KINDS
 from closedloop.loop.step.record_row import RECORDED
@@ -24,7 +25,7 @@ from closedloop.mechanics.integrators import steps_impulses
 from closedloop.mechanics.loops.reactions import parts_of
 from closedloop.record.clearance import clearance
 from closedloop.record.columns.record import POSITIONS, Record
-from closedloop.record.columns.touching import contact_torques
+from closedloop.record.columns.touching import contact_rows
 from closedloop.record.report import measures as of_rows
 from closedloop.record.report import verdict as of_numbers
 from closedloop.record.report.control_verdict import judge_control, limited_joints, run_signals
@@ -109,20 +110,17 @@ def shares_at(run: Record, row: int) -> tuple[NDArray[np.bool_], int, int]:
     undetermined = np.zeros(k, dtype=bool)
     if not units:
         return undetermined, 0, 0
-    forces, frictions = np.zeros((len(units), k)), np.zeros((len(units), 2 * k))
-    for at, (i, j) in enumerate(units):
-        if j == 0:
-            forces[at, i] = 1.0
-        else:
-            frictions[at, 2 * i + j - 1] = 1.0
-    times = np.full(len(units), run.time[row])
-    q = np.tile(in_pinocchios_order(run.q[row], run.model.joint_types), (len(units), 1))
-    rows = contact_torques(run.scenario, run.model.pinocchio_model(), times, q, forces, frictions)
+    rows = _contact_rows(run, row, rigid & (modes != FREE))[tuple(np.transpose(units))]
     ways, sizes, _ = np.linalg.svd(rows)
     rank = int(np.count_nonzero(sizes > SAME_ROW * float(np.max(np.abs(rows), initial=0.0))))
     for at, (i, _) in enumerate(units):
         undetermined[i] |= bool(np.max(np.abs(ways[at, rank:]), initial=0.0) > SAME_ROW)
     return undetermined, len(units), rank
+
+
+def _contact_rows(run: Record, row: int, some: Mask) -> Array:
+    q = in_pinocchios_order(run.q[row], run.model.joint_types)
+    return contact_rows(run.scenario, run.model.pinocchio_model(), float(run.time[row]), q, some)
 
 
 # So many rows at a time: their samples stay in the processor's cache.
@@ -367,7 +365,7 @@ def _unresolved(run: Record) -> list[str]:
     lines = modes.unresolved(
         run.scenario, robot, *start,
         lambda: modes.where_it_slides(run.q, run.surface_normal, run.contact_force, run.friction_force, run.mode),
-        own_law, lambda: modes.where_they_press(run.q, run.link_forces),
+        own_law, lambda: modes.where_they_press(run.q, run.link_forces, partial(_contact_rows, run)),
     )  # fmt: skip
     return lines if own_law else lines + modes.unresolved_feedback(run.scenario, robot)
 

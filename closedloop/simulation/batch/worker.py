@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from closedloop.base.arrays import Array
+from closedloop.base.arrays import Array, Mask
 from closedloop.base.errors import ClosedLoopError, SingularClosureError, faults_on_one_line, one_line
 from closedloop.control.drives import DrivesSection
 from closedloop.jit.background import make_ready
@@ -29,6 +29,7 @@ from closedloop.loop.events.table import IMPACT, TOUCHDOWN, EventRow
 from closedloop.loop.step.record_row import Row, recorded
 from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.record.columns.record import SURFACE_COLUMNS
+from closedloop.record.columns.touching import contact_rows
 from closedloop.record.report import control_verdict
 from closedloop.record.report.measures import (
     CONTROL,
@@ -355,7 +356,13 @@ def _unresolved(problem: Problem, rows: Array, own_law: bool) -> list[str]:
 
     def pressed() -> modes.Pressed | None:
         shape = len(problem.scenario.contact or ()), problem.row_states
-        return modes.where_they_press(recorded(rows, n, "q"), recorded(rows, n, "link_forces", *shape))
+        q, mechanism = recorded(rows, n, "q"), problem.robot.model.pinocchio_model()
+
+        def rows_at(row: int, some: Mask) -> Array:
+            at = problem.h * row, problem.robot.pinocchios(q[row])
+            return contact_rows(problem.scenario, mechanism, *at, some)
+
+        return modes.where_they_press(q, recorded(rows, n, "link_forces", *shape), rows_at)
 
     return _unresolved_at(problem, first, sliding, own_law, pressed)
 

@@ -145,3 +145,53 @@ def test_gains_that_the_step_does_not_resolve_are_bad_though_the_run_is_quiet():
         scenario, {"time.step": [1e-3, 2.5e-4], "stabiliser.time_constant": [1e-3] * 2}, workers=1
     )
     assert [row["verdict"] for row in steps.to_pylist()] == ["resolution", "good"]
+
+
+MASS, STIFFNESS = 2.0, 2e4
+BALL = {"name": "ball", "shape": "ball", "radius": 0.05, "mass": MASS, "position": [0.0, 0.0, 0.05]}
+UNDER = {"name": "under", "shape": "box", "edges": [0.1, 0.1, 0.1], "mass": 3.0, "position": [0.0, 0.0, 0.05]}
+ROUND = {"link": "ball", "radius": 0.05}
+CARRIED = {"kind": "conveyor", "velocity": [0.1, 0.0, 0.0]}
+ON_A_BOX = {"link": "ball", "at": "collision", "against": "under", "onto": "collision"}
+STANDS = {"name": "stand", "link": "under", "at": "collision"}
+
+
+@pytest.mark.parametrize(
+    ("contact", "others"),
+    [
+        (ROUND, ()), ({"link": "ball", "at": "collision"}, ()),
+        (ROUND | {"surface": {"kind": "sphere", "radius": 0.5}}, ()),
+        (ROUND | {"surface": {"kind": "sphere", "radius": 0.5, "inside": True}}, ()),
+        (ROUND | {"motion": {"kind": "breathing", "amplitude": 0.001, "frequency": 0.5}}, ()),
+        (ROUND | {"surface": {"kind": "cylinder", "radius": 0.3}, "motion": CARRIED}, ()),
+        (ON_A_BOX, (STANDS,)),
+    ],
+    ids=["plane", "shape", "sphere", "bowl", "moves", "cylinder that moves", "two shapes"],
+)  # fmt: skip
+@pytest.mark.parametrize(("z", "bad"), [(2.3, True), (1.0, False)])
+def test_a_soft_contact_swings_at_the_root_of_stiffness_over_mass_whatever_its_surface(contact, others, z, bad):
+    """A ball on a spring, ω = √(k/m), of which rk4 makes another swing at hω = 2.3; only planes were looked at."""
+    rate, soft = (STIFFNESS / MASS) ** 0.5, {"kind": "kelvin_voigt", "stiffness": STIFFNESS, "damping": 1e-3}
+    height = 0.1 if others else 0.0
+    bodies = [BALL | {"position": [0.0, 0.0, 0.05 + height]}, *([UNDER] if others else [])]
+    own = contact | {"name": "soft", "compliance": soft}
+    data = {
+        "robot": {"model": "none"}, "body": bodies, "contact": [own, *others],
+        "time": {"duration": 10 * z / rate, "step": z / rate, "integrator": "rk4"},
+        "stabiliser": {"time_constant": z / rate},
+    }  # fmt: skip
+    run = cl.simulate(cl.Scenario.model_validate(data), progress=False)
+    said = [each["text"] for each in run.summary()["verdict"]["problems"] if each["name"] == "resolution"]
+    assert len(said) == bad
+    for line in said:
+        assert line.startswith("contact.soft.compliance: rk4 with time.step = 0.023 s gets a swing of ")
+        assert float(line.split(" rad/s")[0].rsplit(" ", 1)[1]) == pytest.approx(rate, rel=5e-3)
+
+
+def test_a_soft_surface_that_stiffens_is_judged_at_the_force_that_the_tip_presses_with():
+    """A tip that comes to the surface is not in it at the start, where Hertz's stiffness is zero; in lanes likewise."""
+    hertz = {"kind": "hunt_crossley", "stiffness": 1e9, "dissipation": 0.0}
+    changes = {"compliance": hertz, "surface.contact": "unilateral", "surface.gap": 1e-3, "time.integrator": "rk4"}
+    lines, _ = faults_of(changes)
+    assert lines[0].startswith("compliance: rk4 with time.step = 0.001 s gets a swing of ")
+    assert faults_of({**changes, "compliance": hertz | {"stiffness": 1e6}})[0] == []

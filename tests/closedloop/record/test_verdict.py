@@ -295,6 +295,21 @@ def test_what_nothing_drives_gains_no_energy(gained, expected):
         assert told(given) == said
 
 
+@pytest.mark.parametrize("step", [1e-3, 5e-5])
+def test_what_falls_under_explicit_euler_gains_half_of_m_g2_h2_in_each_step(step):
+    """That is its error, of order one, and no fault of the contact: the bound of `gain` is a share of the motion."""
+    body = {"name": "b", "shape": "ball", "radius": 0.1, "mass": 2.0, "position": [0.0, 0.0, 1.0]}
+    scenario = {
+        "robot": {"model": "none"}, "body": [body | {"velocity": [0.4, -0.3, 0.1]}],
+        "contact": [{"link": "b", "at": "collision"}],
+        "time": {"duration": 0.1, "step": step, "integrator": "explicit_euler"},
+    }  # fmt: skip
+    summary = cl.simulate(cl.Scenario.model_validate(scenario)).summary()
+    assert summary["energy_gained"] == pytest.approx(0.5 * 2.0 * 9.81**2 * step * 0.1, rel=1e-6)
+    bound = 1e-3 * (summary["max_kinetic_energy"] - summary["energy_gained"])
+    assert summary["verdict"]["good"] == (summary["energy_gained"] < bound)
+
+
 def test_a_body_that_spins_under_explicit_euler_is_not_good():
     """Its energy grows by a hundredth and more, which the balance does not see."""
     body = {"name": "b", "shape": "box", "edges": [0.1, 0.2, 0.3], "mass": 1.0, "spin": [6.0, 5.0, 4.0]}

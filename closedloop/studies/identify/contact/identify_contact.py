@@ -393,7 +393,8 @@ def _allow_for_counts(
 
     Errors of counts follow the motion for many rows: they are no noise, and bias what is fitted. The motion below the
     cutoff, Hz, is counted anew from other beginnings, beside the same forces. By how much its estimates then differ
-    from those without counts is how much those of the log are off.
+    from those without counts is how much those of the log are off. Of so few beginnings the mean square is uncertain
+    itself: Student's quantile with their number allows for it, where the normal one would cover 89 % for 95.
     """
     size = motion.count_of(recording.positions)
     if not size.any():
@@ -409,7 +410,8 @@ def _allow_for_counts(
             off = np.array([found.get(e.name, np.nan) - true.get(e.name, np.nan) for found in read])
             off = off[~np.isnan(off)]
             if not e.why and len(off):
-                half = float(np.hypot(0.5 * (e.high - e.low), z * np.sqrt(np.mean(off**2))))
+                sure = stats.t.ppf(stats.norm.cdf(z), len(off))
+                half = float(np.hypot(0.5 * (e.high - e.low), sure * np.sqrt(np.mean(off**2))))
                 part.estimates[at] = e._replace(low=e.value - half, high=e.value + half)
             elif not e.why:
                 why = "the counts of the encoders are too coarse for this motion: move farther, or faster"

@@ -110,7 +110,8 @@ def shares_at(run: Record, row: int) -> tuple[NDArray[np.bool_], int, int]:
     undetermined = np.zeros(k, dtype=bool)
     if not units:
         return undetermined, 0, 0
-    rows = _contact_rows(run, row, rigid & (modes != FREE))[tuple(np.transpose(units))]
+    along = np.array(units)
+    rows = _contact_rows(run, row, rigid & (modes != FREE))[along[:, 0], along[:, 1]]
     ways, sizes, _ = np.linalg.svd(rows)
     rank = int(np.count_nonzero(sizes > SAME_ROW * float(np.max(np.abs(rows), initial=0.0))))
     for at, (i, _) in enumerate(units):

@@ -32,7 +32,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.base.arrays import Array, ComplexArray
+from closedloop.base.arrays import Array, ComplexArray, Mask
 from closedloop.base.errors import ScenarioError
 from closedloop.control.drives import transmission_constants
 from closedloop.control.laws.hybrid import HybridLaw
@@ -290,9 +290,9 @@ def _scalar(spring: str, stiffness: float, damper: str, damping: float) -> Feedb
 
 
 class Pressed(NamedTuple):
-    """Where contacts of links press: q (n,), the normal force of each there, N, and what moves their points.
+    """Where contacts of links press: q (n,), the normal force of each there, N, and the rows (k, 3, n) of each there.
 
-    That are the rows (k, 3, n) of those that press, along the normal and two tangents of each.
+    The rows are what the joints move its point by, along its normal and two tangents.
     """
 
     q: Array
@@ -300,9 +300,7 @@ class Pressed(NamedTuple):
     rows: Array
 
 
-def where_they_press(
-    q: Array, forces: Array, rows_at: Callable[[int, NDArray[np.bool_]], Array]
-) -> Pressed | None:  # fmt: skip
+def where_they_press(q: Array, forces: Array, rows_at: Callable[[int, Mask], Array]) -> Pressed | None:
     """Return the row of q (N, n) in which contacts press as they mostly do, of forces (N, k), N; None if never.
 
     `rows_at`: returns what the joints move the points of some contacts by in a row (k, 3, n), whatever their surfaces
@@ -328,7 +326,8 @@ def motions_of_contacts(
     n, names = robot.n, {k: name for name, numbers in patches_of(sections).items() for k in numbers}
     terms = robot.terms(np.array(pressed.q), np.zeros(n))
     mobility = closed_mobility(robot, pressed.q, np.linalg.inv(terms.mass_matrix))
-    rows = {int(k): pressed.rows[k] for k in np.flatnonzero(pressed.load > 0.0)}
+    there = np.isfinite(pressed.rows).all(axis=(1, 2)) & (pressed.load > 0.0)  # far from its surface one has no normal
+    rows = {int(k): pressed.rows[k] for k in np.flatnonzero(there)}
     held = [rows[k][:1] for k in rows if not is_soft(sections[k])]
     if held:
         mobility = held_at(np.vstack(held), mobility)

@@ -3,8 +3,7 @@
 Beside ``sweep.parquet`` lies the folder ``sweep.parquet.parts`` with
 
     sweep.json           what the sweep is: nothing else may put parts here
-    part-00000012.arrow  the rows of a part; written last: if it exists, the part is complete
-    part-00000012.npz    its whole columns, if any are kept
+    part-00000012.arrow  the rows of a part, with whole columns as lists, if any are kept
 
 A file is written under another name, flushed to the disk and then renamed, which is atomic (`closedloop.base.files`).
 Parts end in their name and a SHA-256 (`closedloop.record.save`): one that is damaged, or another's, is run again. A
@@ -23,12 +22,10 @@ complete.
 
 from __future__ import annotations
 
-import io
 import json
 import re
 import stat
 import threading
-import zipfile
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
@@ -111,39 +108,24 @@ def _variants(job: Job) -> Variants:
     return Variants(parse_scenario(job.scenario), job.keys)
 
 
-def columns_of(job: Job) -> pa.Schema:
-    """Return the columns of the table."""
+def columns_of(job: Job, keep: Sequence[str] = ()) -> pa.Schema:
+    """Return the columns of the table, or of a part, which has whole columns too."""
     import pyarrow as pa
 
     types = {key: pa.type_for_alias(kind) for key, kind in zip(job.keys, job.kinds, strict=True)}
-    return schema(types, of=_variants(job).base)
+    return schema(types, keep, _variants(job).base)
 
 
 def run_part(
     job: Job, first: int, points: Sequence[Sequence[Any]], worker: Worker, ran: Callable[[], None] = lambda: None
-) -> tuple[pa.Table, dict[str, Array]]:
-    """Run the runs from number `first` on, with these values of the keys.
-
-    Returns a table with a row for each run, and the columns kept, (runs, rows) or (runs, rows, k); after a run's last
-    row they are NaN.
-    """
+) -> pa.Table:
+    """Run the runs from number `first` on, with these values of the keys; return a table with a row for each run."""
     came_to: dict[int, Outcome] = {}
     for block in in_blocks(_variants(job), points, job.engine, job.runs, lanes=not job.law):
         some = run_variants(worker, _variants(job), [points[i] for i in block], job.engine, ran)
         came_to |= dict(zip(block, some, strict=True))
     outcomes = [came_to[i] for i in range(len(points))]
-    return table_of(columns_of(job), first, points, outcomes), {name: _stacked(outcomes, name) for name in job.keep}
-
-
-def _stacked(outcomes: Sequence[Outcome], name: str) -> Array:
-    parts = [outcome.columns.get(name) for outcome in outcomes]
-    rows = max((len(part) for part in parts if part is not None), default=0)
-    wide = next((part.shape[1:] for part in parts if part is not None), ())
-    whole = np.full((len(parts), rows, *wide), np.nan)
-    for place, part in zip(whole, parts, strict=True):
-        if part is not None:
-            place[: len(part)] = part
-    return whole
+    return table_of(columns_of(job, job.keep), first, points, outcomes, job.keep)
 
 
 def worker_for(job: Job, shared: Cache | None = None) -> Worker:
@@ -154,7 +136,7 @@ def worker_for(job: Job, shared: Cache | None = None) -> Worker:
 _here = threading.local()
 
 
-def run_part_anywhere(job: Job, first: int, points: Sequence[Sequence[Any]]) -> tuple[pa.Table, dict[str, Array]]:
+def run_part_anywhere(job: Job, first: int, points: Sequence[Sequence[Any]]) -> pa.Table:
     """Do `run_part` with a `Worker` that this thread keeps from part to part: the task sent to a cluster."""
     if getattr(_here, "job", None) != job:
         _here.job, _here.worker = job, worker_for(job)
@@ -238,52 +220,37 @@ class Store:
             self._lock.release()
             self._lock = None
 
-    def rows_of(self, part: int) -> Path:
-        """Return where the rows of a part are."""
+    def file_of(self, part: int) -> Path:
+        """Return where a part is."""
         return self.folder / f"part-{part:08}.arrow"
-
-    def columns_of(self, part: int) -> Path:
-        """Return where the whole columns of a part are."""
-        return self.folder / f"part-{part:08}.npz"
 
     def has(self, part: int, runs: range) -> bool:
         """Return whether a part is there as it was written, with these runs."""
         import pyarrow as pa
 
-        if not self.rows_of(part).is_file():
+        if not self.file_of(part).is_file():
             return False
-        keep = self.identity["keep"]
         try:
-            if self.read(part)["run"].to_pylist() != list(runs):
-                return False
-            return not keep or (self.columns_of(part).is_file() and self.read_columns(part).keys() == set(keep))
-        except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile, pa.ArrowException):
+            rows = self.read(part)
+            return set(self.identity["keep"]) <= set(rows.column_names) and rows["run"].to_pylist() == list(runs)
+        except (OSError, ValueError, KeyError, pa.ArrowException):
             return False  # as of a disk that lost its power
 
     def read(self, part: int) -> pa.Table:
         """Return the rows of a part."""
         import pyarrow as pa
 
-        return pa.ipc.open_file(pa.BufferReader(read_part(self.rows_of(part)))).read_all()
+        return pa.ipc.open_file(pa.BufferReader(read_part(self.file_of(part)))).read_all()
 
-    def read_columns(self, part: int) -> dict[str, Array]:
-        """Return the whole columns of a part."""
-        with np.load(io.BytesIO(read_part(self.columns_of(part))), allow_pickle=False) as columns:
-            return {name: columns[name] for name in columns.files}
-
-    def write(self, part: int, rows: pa.Table, columns: dict[str, Array]) -> None:
+    def write(self, part: int, rows: pa.Table) -> None:
         """Write a part, serialised in memory first, so that no library has to handle a full disk."""
         import pyarrow as pa
 
-        table, whole_columns = pa.BufferOutputStream(), io.BytesIO()
+        table = pa.BufferOutputStream()
         with pa.ipc.new_file(table, rows.schema) as writer:
-            writer.write_table(rows)
+            writer.write_table(rows.combine_chunks())
         try:
-            if columns:
-                np.savez(whole_columns, **columns)  # type: ignore[arg-type]
-                with whole_columns.getbuffer() as content:  # else an error's traceback holds the memory open
-                    write_part(self.columns_of(part), content)
-            write_part(self.rows_of(part), memoryview(table.getvalue()))
+            write_part(self.file_of(part), memoryview(table.getvalue()))
         except OSError as error:
             raise OutputError(f"{error}; what was done is kept: once there is room, the same command goes on") from None
 
@@ -390,12 +357,13 @@ def write_columns(
     `check`: called between two parts; it may raise.
     Raises OutputError.
     """
-    runs, rows = store.identity["runs"], 0
+    runs, rows, keep = store.identity["runs"], 0, store.identity["keep"]
     widths: dict[str, tuple[int, ...]] = {}
     for part in range(parts):
         check()
-        rows = max(rows, max(store.read(part)["rows"].to_pylist(), default=0))
-        widths |= {name: data.shape[2:] for name, data in store.read_columns(part).items() if data.shape[1]}
+        table = store.read(part)
+        rows = max(rows, max(table["rows"].to_pylist(), default=0))
+        widths |= {name: each.shape[1:] for name in keep for each in map(_whole, table[name]) if each.size}
 
     def write(out: Any) -> None:
         out.attrs.update(attributes)
@@ -411,17 +379,29 @@ def write_columns(
         for part in range(parts):
             check()
             table = store.read(part)
-            stop = first + len(table)
             if "time.step" in store.identity["axes"]:
-                steps[first:stop] = table["time.step"].to_numpy()
-            for name, data in store.read_columns(part).items():
-                if name in widths and data.shape[1]:
-                    out.variables[name][first:stop, : data.shape[1]] = data
-            first = stop
+                steps[first : first + len(table)] = table["time.step"].to_numpy()
+            for name in widths:
+                for run, each in enumerate(map(_whole, table[name]), first):
+                    if each.size:
+                        out.variables[name][run, : len(each)] = each
+            first += len(table)
 
     room = sum(runs * (8 * rows * int(np.prod(wide)) + OF_CHUNK) + OF_VARIABLE for wide in widths.values())
     texts = 4 * sum(map(len, attributes.values()))
     write_reserved(path, room + 8 * (runs + rows) + texts, write)
+
+
+def _whole(cell: Any) -> Array:
+    """Return the whole column of a run, (rows,) or (rows, k), of its list in a table; (0,) where nothing ran."""
+    import pyarrow as pa
+
+    values = cell.values
+    if values is None:
+        return np.zeros(0)
+    wide = pa.types.is_list(values.type)
+    numbers: Array = (values.flatten() if wide else values).to_numpy(zero_copy_only=False)
+    return numbers.reshape(len(values), -1) if wide else numbers
 
 
 # The columns that judge a run's numbers and its control, where the table has them, and what they say of a good one.
@@ -501,7 +481,7 @@ def join(store: Store, out: Path, parts: int, columns: pa.Schema, step: float) -
             from pyarrow import parquet
 
             with parquet.ParquetWriter(file, columns.with_metadata(description), write_page_checksum=True) as table:
-                for rows in _rows(store, parts, done.check):
+                for rows in _rows(store, parts, columns.names, done.check):
                     table.write_table(rows, row_group_size=2**30)
                     counts.add(rows)
 
@@ -526,14 +506,14 @@ def join(store: Store, out: Path, parts: int, columns: pa.Schema, step: float) -
     return Joined(out, kept, *map(dict, counts))
 
 
-def _rows(store: Store, parts: int, check: Callable[[], None]) -> Iterator[pa.Table]:
-    """Yield the rows of all parts, some at a time."""
+def _rows(store: Store, parts: int, names: Sequence[str], check: Callable[[], None]) -> Iterator[pa.Table]:
+    """Yield the rows of all parts, some at a time, without whole columns."""
     import pyarrow as pa
 
     waiting: list[pa.Table] = []
     for part in range(parts):
         check()
-        waiting.append(store.read(part))
+        waiting.append(store.read(part).select(names))
         if part == parts - 1 or sum(map(len, waiting)) >= ROWS_TOGETHER:
             yield pa.concat_tables(waiting).replace_schema_metadata()
             waiting = []

@@ -394,7 +394,7 @@ def run_sweep(
                 def one(worker: Worker, at: int) -> None:
                     runs = sweep.runs_of(missing[at])
                     points = sweep.design[runs.start : runs.stop]
-                    kept.write(missing[at], *store.run_part(job, runs.start, points, worker, done.add))
+                    kept.write(missing[at], store.run_part(job, runs.start, points, worker, done.add))
 
                 side_by_side(one, len(missing), threads, lambda: store.worker_for(job, shared), report, done)
             return store.join(kept, out, sweep.parts, store.columns_of(sweep.job), sweep.scenario.time.step)
@@ -455,7 +455,7 @@ def run_on_cluster(
         under_way = distributed.as_completed(list(submit()), loop=client.loop)
         for future in under_way:
             part = numbers.pop(future.key)
-            kept.write(part, *future.result())
+            kept.write(part, future.result())
             finished(len(sweep.runs_of(part)))
             future.release()
             report()

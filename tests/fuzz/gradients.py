@@ -124,7 +124,7 @@ class Compared:
         base = self._base()
         found = along(self.keys, self._directions, base, self._read, None, lambda *_: None)
         parts = [found[direction].part(slice(0, base.values.size)) for direction in self._directions]
-        return np.stack([part.derivative for part in parts], -1), np.stack([part.error for part in parts], -1)
+        return np.stack([part.value for part in parts], -1), np.stack([part.error for part in parts], -1)
 
     def fitted(self, wanted: Any) -> tuple[Any, Any]:
         """Return derivatives by polynomials through many runs, and their standard errors; NaN if other events happen.

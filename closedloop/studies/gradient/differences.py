@@ -12,7 +12,7 @@ A direction in which other events happen on one side, however short the step, ha
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import partial
 from itertools import pairwise
 from typing import Any, NamedTuple
@@ -124,7 +124,7 @@ def _numbers(name: str, value: Any) -> Array:
         raise ScenarioError(f"keys: {name}: has no derivative: it changes the number of rows of a run, or of samples")
     if isinstance(value, str):
         raise ScenarioError(f"keys: {name} = {value!r}: has no derivative: it is a word; give the number instead")
-    flat = list(_leaves(value))
+    flat = np.array(value, dtype=object).ravel().tolist()
     if not flat or any(isinstance(each, (bool, int, str, dict)) or each is None for each in flat):
         what = "a whole number" if any(isinstance(each, int) for each in flat) else "no number"
         raise ScenarioError(f"keys: {name} = {value!r}: has no derivative: it is {what}, not a real one")
@@ -135,15 +135,6 @@ def _numbers(name: str, value: Any) -> Array:
     if not all(map(math.isfinite, array.ravel())):
         raise ScenarioError(f"keys: {name} = {value!r}: has no derivative: it is not finite")
     return array
-
-
-def _leaves(value: Any) -> Any:
-    """Return the single values of nested lists, one by one."""
-    if isinstance(value, (list, tuple)):
-        for each in value:
-            yield from _leaves(each)
-    else:
-        yield value
 
 
 EVENTS, AT, END = "event_", "@", "end"
@@ -366,11 +357,10 @@ KINK, SURE = 1e-3, 20.0
 ROUNDING, LOCATED = 16.0 * np.finfo(float).eps, 1e3 * np.finfo(float).eps
 
 
-@dataclass(frozen=True)
-class Estimate:
+class Estimate(NamedTuple):
     """Derivatives of M quantities along one direction."""
 
-    # value, error (M,): the derivative, and the estimate of its error
+    # value, error (M,): the derivative, and the estimate of its error; NaN where there is none
     value: Array
     error: Array
     # below, above (M,): one-sided ones; NaN on a side that there is not
@@ -433,18 +423,6 @@ AT_A_ROW = 1e-3
 SETTLES = 0.02
 
 
-class Part(NamedTuple):
-    """Derivatives of some quantities along one direction."""
-
-    # derivative, error, below, above (k,): NaN where there is none
-    derivative: Array
-    error: Array
-    below: Array
-    above: Array
-    kink: NDArray[np.bool_]  # (k,): whether there is none because those below and above differ
-    method: str  # how they were found
-
-
 @dataclass
 class Along:
     """What is known of one direction."""
@@ -460,17 +438,18 @@ class Along:
     settled: bool = field(default=False, repr=False)  # whether they are known well enough
     methods: NDArray[np.str_] | None = None  # (M,): how each quantity was found, if not all in one way
 
-    def part(self, some: slice) -> Part:
+    def part(self, some: slice) -> Estimate:
         """Return what is known of some of the quantities."""
-        nothing = np.full(self.count, math.nan)
-        if self.best is None:
-            below, above = ((side[0] if side else nothing)[some] for side in (self.below, self.above))
-            none = np.zeros(self.count, dtype=bool)
-            return Part(nothing[some], nothing[some], below, above, none[some], self.method)
-        best, kink = self.best, self.best.kink[some]
-        value, error = (np.where(kink, math.nan, each[some]) for each in (best.value, best.error))
-        method = self.method if self.methods is None or not kink.size else str(self.methods[some][0])
-        return Part(value, error, best.below[some], best.above[some], kink, method)
+        found, nothing = self.best, np.full(self.count, math.nan)
+        if found is None:
+            below, above = (side[0] if side else nothing for side in (self.below, self.above))
+            found = Estimate(nothing, nothing, below, above, np.zeros(self.count, dtype=bool))
+        value, error = (np.where(found.kink, math.nan, each) for each in found[:2])
+        return Estimate(value[some], error[some], found.below[some], found.above[some], found.kink[some])
+
+    def method_of(self, some: slice) -> str:
+        """Return how the derivatives of some of the quantities, those of one output, were found."""
+        return self.method if self.methods is None or not self.methods[some].size else str(self.methods[some][0])
 
 
 def along(
@@ -506,10 +485,9 @@ def along(
         )
         if known.best is None and known.at_a_row is not None:
             estimate = known.at_a_row
-            jumps = estimate.error > AT_A_ROW * np.maximum(
-                np.abs(estimate.value), np.abs(base.values) / (100.0 * d.step)
-            )
-            known.best = replace(estimate, kink=estimate.kink | jumps)
+            size = np.maximum(np.abs(estimate.value), np.abs(base.values) / (100.0 * d.step))
+            jumps = estimate.error > AT_A_ROW * size
+            known.best = estimate._replace(kink=estimate.kink | jumps)
     return found
 
 
@@ -551,8 +529,7 @@ def better(one: Estimate, other: Estimate) -> Estimate:
     A kink that shorter steps do not see is beside the point, not at it.
     """
     take = (other.error < one.error) | (one.kink & ~other.kink)
-    parts = ("value", "error", "below", "above", "kink")
-    return Estimate(*(np.where(take, getattr(other, part), getattr(one, part)) for part in parts))
+    return Estimate(*(np.where(take, new, old) for old, new in zip(one, other, strict=True)))
 
 
 def _better_side(known: tuple[Array, Array] | None, new: tuple[Array, Array]) -> tuple[Array, Array]:

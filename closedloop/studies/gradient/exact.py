@@ -148,12 +148,11 @@ def agreeing(
         for i, part in enumerate(slices):
             if there[i] and not good[i]:
                 expected = sum((changes[d] * np.ravel(np.asarray(each[i])) for d, each in rows.items()), np.zeros(1))
-                own = _Beside(
-                    expected, minus.values[part], base.values[part], plus.values[part], noise * rounded(run, outputs[i])
-                )
-                good[i] = own.agrees and (beside == BESIDE[0] or own.tells)
+                three = minus.values[part], base.values[part], plus.values[part]
+                agrees, tells = changes_as(expected, *three, noise * rounded(run, outputs[i]))
+                good[i] = agrees and (beside == BESIDE[0] or tells)
                 if not good[i]:
-                    notices.debug("no dual numbers: %s, %g beside: %s", outputs[i].name, beside, own)
+                    notices.debug("no dual numbers: %s, %g beside: %s %s", outputs[i].name, beside, expected, three)
         if np.all(good | ~np.array(there)):
             break
     if all(whys):
@@ -161,40 +160,21 @@ def agreeing(
     return [bool(each) for each in good]
 
 
-class _Beside(NamedTuple):
-    """What a quantity is expected to change by, its values in the two runs and between them, and what is rounding."""
+def changes_as(expected: Array, minus: Array, at: Array, plus: Array, noise: float) -> tuple[bool, bool]:
+    """Return whether a quantity changes by what is expected, and by as much on both sides; and whether it changes by
+    well more than rounding.
 
-    expected: Array
-    minus: Array
-    at: Array
-    plus: Array
-    noise: float
-
-    @property
-    def change(self) -> Array:
-        """By what it changes, from its value to that of either run."""
-        return 0.5 * (self.plus - self.minus)
-
-    @property
-    def size(self) -> float:
-        """The largest change, or the largest expected."""
-        return max(float(np.max(np.abs(each), initial=0.0)) for each in (self.change, self.expected))
-
-    @property
-    def tells(self) -> bool:
-        """Whether the change is well above rounding."""
-        return self.noise <= TELLS * self.size
-
-    @property
-    def agrees(self) -> bool:
-        """Whether it changes by that, and by as much on both sides."""
-        change, size = self.change, self.size
-        both_differ = np.abs(self.plus + self.minus - 2.0 * self.at)
-        return bool(
-            np.all(np.isfinite(self.expected))
-            and np.all(np.abs(change - self.expected) <= AGREE * size + self.noise)
-            and np.all(both_differ <= KINKED * np.abs(self.expected) + AGREE * size + self.noise)
-        )
+    `minus`, `at`, `plus`: its values in the two runs and between them.
+    `noise`: what is rounding.
+    """
+    change, both_differ = 0.5 * (plus - minus), np.abs(plus + minus - 2.0 * at)
+    size = max(float(np.max(np.abs(each), initial=0.0)) for each in (change, expected))
+    agrees = (
+        np.all(np.isfinite(expected))
+        and np.all(np.abs(change - expected) <= AGREE * size + noise)
+        and np.all(both_differ <= KINKED * np.abs(expected) + AGREE * size + noise)
+    )
+    return bool(agrees), noise <= TELLS * size
 
 
 def rounded(run: Run, output: Output) -> float:

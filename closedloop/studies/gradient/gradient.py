@@ -23,7 +23,7 @@ from closedloop.scenario.scenario import Scenario
 from closedloop.simulation.batch.simulate_batch import threads_for
 from closedloop.simulation.engines.loops import COMPILED
 from closedloop.studies.gradient import differences
-from closedloop.studies.gradient.differences import Along, Direction, Keys, Output, Part, indexed, output, values_of
+from closedloop.studies.gradient.differences import Along, Direction, Estimate, Keys, Output, indexed, output, values_of
 from closedloop.studies.gradient.exact import exact, grazes
 from robot_models import RobotModel
 
@@ -187,11 +187,12 @@ def _gathered(
         name = each.name
         made.derivative[name], made.error[name], made.method[name], made.one_sided[name] = {}, {}, {}, {}
         for key, at in varied.values.items():
-            parts = [found[d].part(part) for d in varied.directions if d.key == key]
+            its = [found[d] for d in varied.directions if d.key == key]
+            parts = [each.part(part) for each in its]
             shape = value.shape + at.shape
-            four = [np.stack([one[i] for one in parts], axis=-1).reshape(shape) for i in range(4)]
+            four: list[Any] = [np.stack([one[i] for one in parts], axis=-1).reshape(shape) for i in range(4)]
             made.derivative[name][key], made.error[name][key] = _entry(four[0]), _entry(four[1])
-            made.method[name][key] = parts[0].method
+            made.method[name][key] = its[0].method_of(part)
             if np.any(np.isnan(four[0])):
                 made.one_sided[name][key] = _entry(four[2]), _entry(four[3])
         for d, known in found.items():
@@ -200,7 +201,7 @@ def _gathered(
     return problems
 
 
-def _named(of: str, direction: Direction, part: Part, values: Array) -> list[str]:
+def _named(of: str, direction: Direction, part: Estimate, values: Array) -> list[str]:
     """Return what has no derivative, or an uncertain one, in words."""
     lines, many = [], f" at {{}} of {values.size} places" if values.size > 1 else ""
     kinks = np.flatnonzero(part.kink)
@@ -211,11 +212,11 @@ def _named(of: str, direction: Direction, part: Part, values: Array) -> list[str
             f"{part.below[i]:.6g} below and {part.above[i]:.6g} above"
         )
     least = 1e-2 * float(np.max(np.abs(values), initial=0.0)) / (direction.step / differences.SHARE)
-    rough = np.flatnonzero(~part.kink & (part.error > ROUGH * np.maximum(np.abs(part.derivative), least)))
+    rough = np.flatnonzero(~part.kink & (part.error > ROUGH * np.maximum(np.abs(part.value), least)))
     if rough.size:
         i = rough[np.argmax(part.error[rough])]
         lines.append(
-            f"{of} with respect to {direction}{many.format(rough.size)}: {part.derivative[i]:.6g} may be off by "
+            f"{of} with respect to {direction}{many.format(rough.size)}: {part.value[i]:.6g} may be off by "
             f"{part.error[i]:.2g}; it is not smooth"
         )
     return lines

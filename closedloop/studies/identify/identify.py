@@ -58,6 +58,21 @@ class Estimate(NamedTuple):
         found = {"value": self.value, "interval": [self.low, self.high], "unit": self.unit, "grouping": self.grouping}
         return found | ({"not_identifiable": self.why} if self.why else {})
 
+    def line(self, width: int) -> str:
+        """Return name, value and interval in words, the name in so many letters."""
+        made = f"   = {self.grouping}" if self.grouping != self.name else ""
+        return f"  {self.name:{width}}{self.value:12.5g}  {self.low:.5g} to {self.high:.5g} {self.unit}{made}"
+
+
+def unknown(name: str, unit: str, why: str, low: float = -np.inf, grouping: str = "") -> Estimate:
+    """Return a parameter that the log does not tell."""
+    return Estimate(name, np.nan, low, np.inf, unit, grouping or name, why)
+
+
+def known(name: str, value: float, deviation: float, unit: str, z: float, grouping: str = "") -> Estimate:
+    """Return a parameter with its interval."""
+    return Estimate(name, value, value - z * deviation, value + z * deviation, unit, grouping or name, "")
+
 
 @dataclass(frozen=True, eq=False)
 class Identification:
@@ -109,7 +124,7 @@ class Identification:
         if name in self.regressor.names:
             within = next((e for e in self.estimates if name in e.grouping.split()), None)
             why = f"it acts only together with others: {within.grouping}" if within else "no torque depends on it"
-            return Estimate(name, np.nan, -np.inf, np.inf, self.regressor.unit(name), name, why)
+            return unknown(name, self.regressor.unit(name), why)
         raise KeyError(f"{name!r}: the parameters are {', '.join(self.regressor.names)}")
 
     def joints(self, kind: str) -> tuple[Estimate, ...]:
@@ -273,12 +288,13 @@ def identify(
         tested, part = np.zeros(len(x.time), dtype=bool), found
         judged, V, sure = y.torque, regressor.averaged(y)[:, :, base.kept], _counted(regressor, y)
     estimates = []
-    for k, (value, half) in enumerate(zip(found.value.tolist(), (z * found.deviation).tolist(), strict=True)):
-        name, grouping, why = regressor.names[base.kept[k]], base.names[k], ""
-        if not found.told[k]:
-            value, half, why = np.nan, np.inf, _reason(k, found, base, regressor, used)
-        low, high = (value - half, value + half) if found.told[k] else (-np.inf, np.inf)
-        estimates.append(Estimate(name, value, low, high, regressor.unit(name), grouping, why))
+    for k, (value, deviation) in enumerate(zip(found.value.tolist(), found.deviation.tolist(), strict=True)):
+        name, grouping = regressor.names[base.kept[k]], base.names[k]
+        if found.told[k]:
+            estimates.append(known(name, value, deviation, regressor.unit(name), z, grouping))
+        else:
+            why = _reason(k, found, base, regressor, used)
+            estimates.append(unknown(name, regressor.unit(name), why, grouping=grouping))
     return Identification(
         model, regressor, base, found, x, used, tested,
         tuple(estimates),

@@ -244,7 +244,12 @@ def base_parameters(regressor: Regressor, seed: int = 0) -> BaseParameters:
         regressor = Regressor(regressor.robot, replace(regressor.terms, stribeck_speed=1.0))
     W = regressor.rows(q, v, a, rng.normal(size=(count, n))).reshape(-1, p)
     size = np.linalg.norm(W, axis=0)
-    order = _preferred(regressor, np.flatnonzero(size > RANK))
+    # The order in which columns are kept: friction, moments of links, then masses and drives. The inertia of a drive
+    # comes last: where it acts as a link's moment of inertia does, it is part of that.
+    drives = np.array([name.startswith("drive_inertia_") for name in regressor.names])
+    rank_of = np.where(np.arange(p) < 10 * n, 1, np.where(drives, 2, 0))
+    order = np.flatnonzero(size > RANK)
+    order = order[np.argsort(rank_of[order], kind="stable")]
     R = linalg.qr(W[:, order] / size[order], mode="r")[0][: len(order)]
     rank = int((np.abs(np.diag(linalg.qr(R, mode="r", pivoting=True)[0])) > RANK).sum())
     diagonal = np.abs(np.diag(R))
@@ -269,22 +274,6 @@ def base_parameters(regressor: Regressor, seed: int = 0) -> BaseParameters:
                 terms.append(f"{'-' if row[k] < 0 else '+'} {factor}{regressor.names[k]}")
         said.append(" ".join(terms))
     return BaseParameters(kept, grouping, tuple(said))
-
-
-def _preferred(regressor: Regressor, there: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return the columns in the order in which they are kept: friction, moments of links, then masses and drives.
-
-    The inertia of a drive comes last: where it acts as a link's moment of inertia does, it is part of that.
-    """
-    inertial = 10 * regressor.n
-    names = regressor.names
-
-    def rank(k: int) -> tuple[int, int]:
-        if k >= inertial:
-            return (2, k) if names[k].startswith("drive_inertia_") else (0, k)
-        return (1, k)
-
-    return np.array(sorted(map(int, there), key=rank))
 
 
 # Rounds of weighting: the weights follow from the residuals, and the residuals from the weights.

@@ -144,11 +144,7 @@ def report(found: Identification) -> list[str]:
         )
     lines += ["", f"  {'parameter':30}{'value':>12}  {100 * found.confidence:.0f} % interval"]
     for e in found.estimates:
-        if e.why:
-            lines.append(f"  {e.name:30}{'-':>12}  not identifiable: {e.why}")
-        else:
-            made = f"   = {e.grouping}" if e.grouping != e.name else ""
-            lines.append(f"  {e.name:30}{e.value:12.5g}  {e.low:.5g} to {e.high:.5g} {e.unit}{made}")
+        lines.append(f"  {e.name:30}{'-':>12}  not identifiable: {e.why}" if e.why else e.line(30))
     return lines
 
 
@@ -248,7 +244,7 @@ def write(found: Identification, folder: Path, source: str) -> list[Path]:
     robot.toml, whose inertia is that of bodies that can be (`closedloop.studies.identify.regressor`).
     """
     from closedloop.figures.files import write_figure
-    from closedloop.figures.style import styled
+    from closedloop.figures.style import COLOURS, new_figure, styled
 
     lines, texts = report(found), {}
     if found.robot.format == "urdf" and not found.robot.locked:
@@ -270,8 +266,6 @@ def write(found: Identification, folder: Path, source: str) -> list[Path]:
     paths = [write_whole(folder / name, text.encode()) for name, text in texts.items()]
     with styled():
         paths.append(write_figure(torque_figure(found), folder / "torque"))
-        from closedloop.figures.style import COLOURS, new_figure
-
         known = [e for e in found.estimates if not e.why]
         figure = new_figure(0.16 * len(known) + 1.0)
         figure.set_layout_engine("constrained", w_pad=0.12)  # small text is wider in the PNG than where it is laid out

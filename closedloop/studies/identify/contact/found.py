@@ -44,7 +44,7 @@ from closedloop.base.arrays import Array, Mask
 from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.studies.comparison.recording import EDGE, Recording, expected_force
 from closedloop.studies.identify import motion
-from closedloop.studies.identify.identify import WHITENESS_LEVEL, Estimate
+from closedloop.studies.identify.identify import WHITENESS_LEVEL, Estimate, known, unknown
 from closedloop.studies.identify.motion import Log, LogError, Motion, white_noise
 from closedloop.studies.identify.regressor import NOISY, Fit, fit, whiteness
 from robot_models.model import carried_by
@@ -236,16 +236,6 @@ class Part:
         """Return it with parameters, names and units, that the log does not tell."""
         self.estimates = [unknown(name, unit, why) for name, unit in names]
         return self
-
-
-def unknown(name: str, unit: str, why: str, low: float = -np.inf) -> Estimate:
-    """Return a parameter that the log does not tell."""
-    return Estimate(name, np.nan, low, np.inf, unit, name, why)
-
-
-def known(name: str, value: float, deviation: float, unit: str, z: float, grouping: str = "") -> Estimate:
-    """Return a parameter with its interval."""
-    return Estimate(name, value, value - z * deviation, value + z * deviation, unit, grouping or name, "")
 
 
 def one(W: Array, y: Array, used: Mask, Z: Array | None = None) -> Fit:

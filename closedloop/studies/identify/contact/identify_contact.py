@@ -26,8 +26,8 @@ from closedloop.record.run import Run
 from closedloop.studies.comparison.recording import Recording, checked, read_recording
 from closedloop.studies.identify import motion
 from closedloop.studies.identify.contact import found as fits
-from closedloop.studies.identify.contact.found import Part, Touch, unknown
-from closedloop.studies.identify.identify import Estimate
+from closedloop.studies.identify.contact.found import Part, Touch
+from closedloop.studies.identify.identify import Estimate, unknown
 from closedloop.studies.identify.motion import LogError, check_positions, white_noise
 
 if TYPE_CHECKING:
@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from robot_models import RobotModel
 
 
-# Coefficients (4,) of cubics through more and more rows, with their covariances.
+# Coefficients (4,) of cubics through more and more rows, the highest power first, with their covariances.
 Cubics = list[tuple[Array, Array]]
 
 # Rows of a cubic. More of them may change the rates by so many deviations: the median over the impacts, and one.
@@ -91,9 +91,12 @@ def impacts_of(time: Array, height: Array) -> list[Impact]:
             used.append(k)
             for side, rows in zip(sides, (left, right), strict=True):
                 side.append(_cubics(time[rows] - time[k], height[rows], sigma))
-    most = [_longest(side) for side in sides]
-    for at, k in enumerate(used):
-        fits = [side[at][min(count, _own(side[at])) - 1] for side, count in zip(sides, most, strict=True)]
+    most = [_good(side, AGREE) for side in sides]
+    for at, k in enumerate(used):  # a cubic ends before the next thing happens
+        fits = [
+            side[at][min(count, _good([side[at]], AT_MOST), len(side[at])) - 1]
+            for side, count in zip(sides, most, strict=True)
+        ]
         if (one := _impact(float(time[k]), step, fits)) is not None:
             found.append(one)
     return found
@@ -111,52 +114,37 @@ def _kinks(height: Array, m: int, step: float) -> Array:
 
 def _cubics(t: Array, height: Array, sigma: float) -> Cubics:
     """Return the coefficients of cubics through the first 8, 11 ... rows, and their covariances."""
-    found: Cubics = []
-    for count in [m for m in LENGTHS if m <= len(t)]:
-        A = np.stack([t[:count] ** p for p in range(4)], axis=1)
-        value = np.asarray(np.linalg.lstsq(A, height[:count], rcond=None)[0], dtype=np.float64)
-        found.append((value, np.asarray(sigma**2 * np.linalg.inv(A.T @ A), dtype=np.float64)))
-    return found
+    fits = [np.polyfit(t[:m], height[:m], 3, cov="unscaled") for m in LENGTHS if m <= len(t)]
+    return [(value, sigma**2 * covariance) for value, covariance in fits]
 
 
-def _longest(side: list[Cubics]) -> int:
-    """Return how many of `LENGTHS` are good on one side of all impacts.
+def _good(side: list[Cubics], bound: float) -> int:
+    """Return how many of `LENGTHS` are good on one side of all these impacts.
 
-    More rows are taken while the rates that they give are those of fewer, but for their noise: what a cubic lacks must
-    stay below noise (O. Lepski, Theory of Probability and its Applications 35 (1990) 454-466).
+    More rows are taken while the rates that they give are those of fewer, but for `bound` deviations of their noise in
+    the median: what a cubic lacks must stay below noise (O. Lepski, Theory of Probability and its Applications 35
+    (1990) 454-466).
     """
     for longer in range(1, len(LENGTHS)):
-        for shorter in range(longer):
-            z = np.array([_change(x, shorter, longer) for x in side if len(x) > longer])
-            if len(z) and abs(np.median(z)) > AGREE:
+        there = [x for x in side if len(x) > longer]
+        for shorter in range(longer if there else 0):
+            pairs = ((x[shorter], x[longer]) for x in there)
+            z = [(more[0][2] - fewer[0][2]) / np.sqrt(fewer[1][2, 2]) for fewer, more in pairs]
+            if abs(np.median(z)) > bound:
                 return longer
     return len(LENGTHS)
 
 
-def _own(cubics: Cubics) -> int:
-    """Return how many of `LENGTHS` are good on one side of one impact: before the next thing happens."""
-    for longer in range(1, len(cubics)):
-        if any(abs(_change(cubics, shorter, longer)) > AT_MOST for shorter in range(longer)):
-            return longer
-    return len(cubics)
-
-
-def _change(cubics: Cubics, shorter: int, longer: int) -> float:
-    """Return by how many deviations more rows change the rate."""
-    (x, covariance), (y, _) = cubics[shorter], cubics[longer]
-    return float((y[1] - x[1]) / np.sqrt(covariance[1, 1]))
-
-
 def _impact(time: float, step: float, fits: list[tuple[Array, Array]]) -> Impact | None:
     """Return the impact where both cubics, of time since a row at `time`, meet, next to the row."""
-    roots = np.roots((fits[1][0] - fits[0][0])[::-1])
+    roots = np.roots(fits[1][0] - fits[0][0])
     real = roots[np.abs(roots.imag) < 1e-9].real
     if not len(real):
         return None
     at = float(real[np.abs(real).argmin()])
     if abs(at) > 2.0 * step * (GUARD + 1):
         return None
-    row = np.array([0.0, 1.0, 2.0 * at, 3.0 * at * at])
+    row = np.array([3.0 * at * at, 2.0 * at, 1.0, 0.0])
     before, after = (float(row @ value) for value, _ in fits)
     noise = float(np.sqrt(max(row @ covariance @ row for _, covariance in fits)))
     if before >= -SURE * noise:
@@ -232,9 +220,7 @@ class ContactIdentification:
             f"{100 * self.free:.0f} %",
             f"  {'parameter':20}{'value':>12}  {100 * self.confidence:.0f} % interval",
         ]
-        for e in (each for each in self.estimates if not each.why):
-            made = f"   = {e.grouping}" if e.grouping != e.name else ""
-            told.append(f"  {e.name:20}{e.value:12.5g}  {e.low:.5g} to {e.high:.5g} {e.unit}{made}")
+        told += [e.line(20) for e in self.estimates if not e.why]
         reasons: dict[str, list[str]] = {}
         for e in self.estimates:
             reasons.setdefault(e.why, []).append(e.name)

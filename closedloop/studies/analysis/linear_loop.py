@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import brentq, minimize_scalar
+from scipy.signal import dlsim
 
 from closedloop.base.arrays import Array, ComplexArray, plain
 from closedloop.base.errors import ScenarioError, missing_line
@@ -392,11 +393,8 @@ class LinearLoop:
             speed = 1e-3 * 30.0 * share**2 * (1.0 - share) ** 2 / (moving * self.dt)  # of minimum jerk
             speed *= 1e-3 / (0.5 * self.dt * float(np.sum(speed[1:] + speed[:-1])))
             u = np.diff(speed) / self.dt
-        x, y = np.zeros(self.A.shape[0]), np.empty(steps + 1)
-        for k in range(steps + 1):
-            y[k] = self.C[row] @ x + self.D[row, column] * u[k]
-            x = self.A @ x + self.B[:, column] * u[k]
-        return t, y
+        system = self.A, self.B[:, [column]], self.C[[row]], self.D[[row]][:, [column]], self.dt
+        return t, np.asarray(dlsim(system, u)[1][:, 0])
 
     def port(self) -> Port:
         """Return the admittance of the tip along the normal, and whether it is passive."""

@@ -384,7 +384,7 @@ def compare_log(
     inside = (clock - found >= run.time[0]) & (clock - found <= run.time[-1])
     _need_overlap(int(inside.sum()), recording.step, clock, run, recording.source)
     time: Array = clock[inside] - found
-    q, v, torque = (_at(time, run, name) for name in ("q", "v", "torque"))
+    q, v, torque = (_at(time, run, run[name]) for name in ("q", "v", "torque"))
     robot = Robot(run.model, run.scenario.robot.tip) if run.model.tip or run.scenario.robot.tip else None
     names = run.model.joint_names
     differences = {}
@@ -395,7 +395,7 @@ def compare_log(
         )  # fmt: skip
     else:
         notes.append("the log has no joint positions: joints are not compared")
-    normal = _at(time, run, "surface_normal") if normal_there else None
+    normal = _at(time, run, run.surface_normal) if normal_there else None
     told = None
     if recording.torque is not None:
         logged = recording.torque[inside]
@@ -403,7 +403,7 @@ def compare_log(
             "torques", "N m (N)", names, time, logged, torque,
             logs.explain(
                 *logs.of_torques(
-                    logged - torque, time, names, (q, v, _at(time, run, "acceleration")), torque, robot, normal
+                    logged - torque, time, names, (q, v, _at(time, run, run.acceleration)), torque, robot, normal
                 ),
                 rms(torque),
             ),
@@ -413,7 +413,7 @@ def compare_log(
     if recording.force is not None and normal is not None:
         logged = recording.force[inside]
         along = np.einsum("ij,ij->i", logged, normal) if logged.ndim == 2 else logged
-        force = _at(time, run, "contact_force")
+        force = _at(time, run, run.contact_force)
         differences["force"] = Difference(
             "contact force along the normal", "N", ("on the robot",), time, along[:, None], force[:, None],
             logs.explain(along - force, logs.force_hypotheses(force, np.gradient(force, time)), rms(force)),
@@ -431,16 +431,15 @@ def compare_log(
     elif recording.force is None:
         notes.append("the log has no force")
     if recording.speed is not None:
-        speed = np.linalg.norm(_at(time, run, "velocity"), axis=1)
+        speed = np.linalg.norm(_at(time, run, run.velocity), axis=1)
         differences["speed"] = Difference(
             "speed of the tip", "m/s", ("its size",), time, recording.speed[inside, None], speed[:, None], []
         )
     return LogComparison(run, float(found), by, float(time[-1] - time[0]), differences, told, notes)
 
 
-def _at(time: Array, run: Run, name: str) -> Array:
+def _at(time: Array, run: Run, column: Array) -> Array:
     """Return a column of the run at these instants, between its rows by a line."""
-    column: Array = getattr(run, name)
     if column.ndim == 1:
         return np.interp(time, run.time, column)
     return np.stack([np.interp(time, run.time, x) for x in column.T], axis=1)
@@ -454,7 +453,7 @@ def _beside(time: Array, run: Run, robot: Robot) -> Array:
     ):
         terms = robot.terms(q, v)
         found[k] = terms.mass_matrix @ a + terms.bias - torque - terms.jacobian.T @ force
-    return np.stack([np.interp(time, run.time, x) for x in found.T], axis=1)
+    return _at(time, run, found)
 
 
 def _need_overlap(rows: int, step: float, clock: Array, run: Run, source: str) -> None:

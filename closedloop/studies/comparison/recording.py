@@ -128,8 +128,7 @@ def alike_rows(x: Array) -> float:
     if power == 0.0:
         return 1.0
     lags = max(1, min(int(LAGS * len(x)), len(x) - 1))
-    spectrum = np.fft.rfft(centred, 2 * len(x))
-    correlation = np.fft.irfft(spectrum * spectrum.conj())[: lags + 1] / power
+    correlation = signal.correlate(centred, centred, method="fft")[len(x) - 1 :][: lags + 1] / power
     ends = np.flatnonzero(correlation <= 0.0)
     upto = int(ends[0]) if len(ends) else lags + 1
     return float(max(1.0, 1.0 + 2.0 * correlation[1:upto].sum()))

@@ -167,12 +167,16 @@ DIVERGES = "the motion diverges"
 # Problems with which gains that the step cannot carry show.
 SHAKEN = {"stopped", "energy", "chatter", "closure"}
 
-# What a joint's limits are about: the problem's name, value, when, and its units if the joint turns and if it slides.
+# What a joint's limits are about: the problem's name, value, when, what is said, and the units if it turns and if it
+# slides.
 _LIMITS = (
-    ("position_limit", "position_excess", "position_limit_left_at", "rad", "m"),
-    ("velocity_limit", "max_joint_velocity", "velocity_limit_exceeded_at", "rad/s", "m/s"),
-    ("effort_limit", "max_joint_torque", "effort_limit_exceeded_at", "N m", "N"),
-)
+    ("position_limit", "position_excess", "position_limit_left_at",
+     "is up to {:.3g} {} beyond its limits [{low:g}, {high:g}]", "rad", "m"),
+    ("velocity_limit", "max_joint_velocity", "velocity_limit_exceeded_at",
+     "moves with up to {:.3g} {}, its limit is {speed:g}", "rad/s", "m/s"),
+    ("effort_limit", "max_joint_torque", "effort_limit_exceeded_at",
+     "is asked for up to {:.3g} {}, its limit is {effort:g}", "N m", "N"),
+)  # fmt: skip
 
 
 class Facts(NamedTuple):
@@ -346,21 +350,15 @@ def _closure(facts: Facts) -> dict[str, Any] | None:
 
 def _limits(facts: Facts) -> list[dict[str, Any]]:
     """Return a problem for each kind of limit and each joint that is beyond it."""
-    problems = []
-    for name, measure, when, unit, sliding in _LIMITS:
+    problems, m = [], facts.model
+    for name, measure, when, said, *units in _LIMITS:
         for j, at in enumerate(facts.joints[when]):
-            if math.isnan(at):
-                continue
-            model, value = facts.model, facts.joints[measure][j]
-            unit_here = sliding if model.joint_types[j] == "prismatic" else unit
-            if name == "position_limit":
-                low, high = model.position_lower[j], model.position_upper[j]
-                text = f"is up to {value:.3g} {unit_here} beyond its limits [{low:g}, {high:g}]"
-            elif name == "velocity_limit":
-                text = f"moves with up to {value:.3g} {unit_here}, its limit is {model.velocity_limit[j]:g}"
-            else:
-                text = f"is asked for up to {value:.3g} {unit_here}, its limit is {model.effort_limit[j]:g}"
-            problems.append(problem_of(name, f"joint {model.joint_names[j]} {text}", at))
+            if not math.isnan(at):
+                text = said.format(
+                    facts.joints[measure][j], units[m.joint_types[j] == "prismatic"], low=m.position_lower[j],
+                    high=m.position_upper[j], speed=m.velocity_limit[j], effort=m.effort_limit[j],
+                )  # fmt: skip
+                problems.append(problem_of(name, f"joint {m.joint_names[j]} {text}", at))
     return problems
 
 

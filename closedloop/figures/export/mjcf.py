@@ -13,7 +13,6 @@ The law, the closure and friction are no part of it: contact in MuJoCo is soft, 
 """
 
 import re
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -75,11 +74,12 @@ def add_surface(assets: ElementTree.Element, world: ElementTree.Element, scene: 
             "shape is not known; import its module first, or use --to csv or --to mcap"
         )
     turned = placed.frame[[1, 2, 0]].T  # columns: the tangents t1, t2 and the normal
-    section, origin, n = placed.section, _origin(placed), placed.normal
+    section, origin, n = placed.section, placed.origin, placed.normal
     look: dict[str, Any] = {"name": "surface", "rgba": COLOUR, "mass": 0.0}
     body = element(world, "body", name="surface", mocap="true") if placed.moves else world
     size: tuple[float, ...]
     if isinstance(section, PlaneSurface):
+        origin = origin + (placed.offset - n @ origin) * n  # a point that its `offset` says
         half = 0.5 * np.ptp(_tangential(scene, placed), axis=0).max()
         element(body, "geom", type="plane", pos=origin, quat=quaternion(turned), size=(half, half, 0.01), **look)
     elif isinstance(section, Sphere) and not section.inside:
@@ -95,14 +95,6 @@ def add_surface(assets: ElementTree.Element, world: ElementTree.Element, scene: 
         element(body, "geom", type="cylinder", pos=origin - section.radius * n, quat=along, size=size, **look)
     else:
         _add_heights(assets, body, scene, placed, look)
-
-
-def _origin(placed: PlacedSurface) -> Array:
-    """Return a point (3,) of the surface at t = 0, m: of a plane one that its `offset` says."""
-    origin: Array = placed.origin
-    if isinstance(placed.section, PlaneSurface):
-        origin = origin + (placed.offset - placed.normal @ origin) * placed.normal
-    return origin
 
 
 def _tangential(scene: Scene, placed: PlacedSurface) -> Array:
@@ -145,6 +137,8 @@ def _add_heights(
 BALL = 0.002  # radius of the ball that stands for a contact's point, m
 APART = 0.1  # of the arm's reach: between the two points that hold a hinge
 GROUP = 3  # of the geoms that touch; MuJoCo's viewer does not show it at first
+# Of a geom that touches nothing but what it is paired with.
+UNTOUCHED: dict[str, Any] = {"mass": 0.0, "contype": 0, "conaffinity": 0}
 HELD = ("point", "hinge", "weld", "gear", "distance")  # types of loop joints that MuJoCo has an equality for
 
 
@@ -243,11 +237,9 @@ def add_pairs(root: ElementTree.Element, scene: Scene) -> None:
 def _add_geom(
     body: ElementTree.Element, name: str, kind: str, place: Array, size: tuple[float, ...], quat: Array | None = None
 ) -> None:
-    """Add a geom that touches nothing but what it is paired with."""
-    element(
-        body, "geom", name=name, type=kind, pos=place, quat=quat, size=size, mass=0.0, contype=0, conaffinity=0,
-        group=GROUP, rgba=(0.34, 0.71, 0.91, 0.2),
-    )  # fmt: skip
+    """Add a geom of a contact of links."""
+    look = UNTOUCHED | {"group": GROUP, "rgba": (0.34, 0.71, 0.91, 0.2)}
+    element(body, "geom", name=name, type=kind, pos=place, quat=quat, size=size, **look)
 
 
 def _points(loop: LoopJoint, side: int, apart: float) -> list[Array]:
@@ -340,7 +332,10 @@ def _add_links(assets: ElementTree.Element, world: ElementTree.Element, scene: S
         joint = chain[-1]
         for at, shape in enumerate(scene.shapes):
             if shape.joint == joint:
-                _add_mesh(assets, body, f"shape{at}", shape.vertices, shape.faces, shape.colour)
+                name, vertices = f"shape{at}", numbers(shape.vertices, 6)
+                element(assets, "mesh", name=name, inertia="shell", vertex=vertices, face=numbers(shape.faces))
+                look = {"rgba": (*shape.colour, 1.0), **UNTOUCHED, "group": ARM_GROUP}
+                element(body, "geom", name=name, type="mesh", mesh=name, **look)
         _add_tip(body, joint, scene, mechanism)
         add_joined_parts(body, joint, scene, mechanism)
         for child in range(1, mechanism.njoints):
@@ -397,19 +392,5 @@ def _add_tip(body: ElementTree.Element, joint: int, scene: Scene, mechanism: Any
     element(body, "site", name="tip", pos=place.translation, quat=quaternion(place.rotation), size=(TIP_RADIUS,))
     flange = place.translation - place.rotation @ np.array(scene.run.scenario.tool.offset)
     if np.linalg.norm(place.translation - flange) > TIP_RADIUS:
-        element(
-            body, "geom", name="tool", type="capsule", fromto=(*flange, *place.translation), size=(TIP_RADIUS,),
-            mass=0.0, contype=0, conaffinity=0, group=ARM_GROUP,
-        )  # fmt: skip
-
-
-def _add_mesh(
-    assets: ElementTree.Element, body: ElementTree.Element, name: str, vertices: ArrayLike, faces: ArrayLike,
-    colour: Sequence[float],
-) -> None:  # fmt: skip
-    """Add a shape, which has neither mass nor contact."""
-    element(assets, "mesh", name=name, inertia="shell", vertex=numbers(vertices, 6), face=numbers(faces))
-    element(
-        body, "geom", name=name, type="mesh", mesh=name, rgba=(*colour, 1.0), mass=0.0, contype=0, conaffinity=0,
-        group=ARM_GROUP,
-    )  # fmt: skip
+        size: dict[str, Any] = {"fromto": (*flange, *place.translation), "size": (TIP_RADIUS,)}
+        element(body, "geom", name="tool", type="capsule", **size, **UNTOUCHED, group=ARM_GROUP)

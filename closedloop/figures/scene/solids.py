@@ -15,7 +15,7 @@ import threading
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pinocchio as pin
@@ -251,24 +251,18 @@ _robots = Cache(limit=4)
 _one_at_a_time = threading.Lock()
 
 
-class _Side(NamedTuple):
-    """A side of a loop joint: the number of its joint's frame, 0 for the base, and there its point (3,), m."""
-
-    frame: int
-    point: Array
-
-
 @dataclass(frozen=True)
 class _Loop:
     """A loop joint: its name, what its mark looks like, its two sides, and its axes, in the first side's frame.
 
+    Each side is the number of its joint's frame, 0 for the base, and there its point (3,), m.
     `named` are the joint's frame, 0 for the base, and there the axes, as columns, in which its reaction is; `force`
     says which parts of all reactions are its force: none of a gear.
     """
 
     name: str
     shape: Shape
-    sides: tuple[_Side, _Side]
+    sides: tuple[tuple[int, Array], tuple[int, Array]]
     axes: Array
     named: tuple[int, Array]
     force: tuple[int, ...]
@@ -294,7 +288,7 @@ class Joined:
         """
         turns, points = np.zeros((len(self.loops), 3, 3)), np.zeros((len(self.loops), 3))
         for k, loop in enumerate(self.loops):
-            (first, points[k]), (_, other) = ((s.frame, origins[s.frame] + axes[s.frame] @ s.point) for s in loop.sides)
+            (first, points[k]), (_, other) = ((at, origins[at] + axes[at] @ point) for at, point in loop.sides)
             turns[k] = _upright(other - points[k]) if loop.rod else axes[first] @ loop.axes
         return turns, points
 
@@ -327,9 +321,9 @@ def _loops_of(robot: Robot, size: float) -> tuple[_Loop, ...]:
     pin.forwardKinematics(mechanism, data, robot.pinocchios(model.home))
     frames = [(place.rotation, place.translation) for place in data.oMi]
 
-    def side(link: int, point: Array) -> _Side:
+    def side(link: int, point: Array) -> tuple[int, Array]:
         place = poses[link][1] + poses[link][0] @ point
-        return _Side(link + 1, frames[link + 1][0].T @ (place - frames[link + 1][1]))
+        return link + 1, frames[link + 1][0].T @ (place - frames[link + 1][1])
 
     found, at, parts = [], 0, 0
     for loop in model.loops:

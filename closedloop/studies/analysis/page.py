@@ -27,8 +27,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from closedloop.studies.analysis.linear_loop import LinearLoop, Margins
-
 # Up to how many times their value gains and stiffnesses are looked for limits, and at how many values.
 MOST_GAIN, MOST_STIFFNESS, LOOKS = 1e3, 1e4, 13
 # The longest delay that is tried, in samples.

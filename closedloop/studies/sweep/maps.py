@@ -210,14 +210,21 @@ def draw_maps(
     if y is not None and first == y:
         raise ScenarioError(f"{y}: is the only key of this sweep; --y needs another")
     second = y or (next((key for key in keys if key != first), None) if x is None or y is not None else None)
+
+    def draw(figure: Figure, panels: Sequence[Axes]) -> Figure:
+        for panel, name in zip(panels, wanted, strict=False):
+            if second is None:
+                _curves(panel, table, first, name, [key for key in keys if key != first])
+            else:
+                _map(figure, panel, table, first, second, name)
+        return figure
+
     if ax is not None:
         try:
             figure, given = panels_on(len(wanted), 3.4, ax)
         except ValueError as error:
             raise ScenarioError(str(error)) from None
-        for panel, name in zip(given, wanted, strict=True):
-            _panel(figure, panel, table, keys, first, second, name)
-        return figure
+        return draw(figure, given)
     width = page_width()
     columns = 1 if len(wanted) == 1 or width < TWO_ABREAST else 2
     rows = -(-len(wanted) // columns)
@@ -226,8 +233,7 @@ def draw_maps(
         size = width, size[1] * math.sqrt(width / size[0])
     figure = Figure(figsize=size, layout="constrained")
     panels = figure.subplots(rows, columns, squeeze=False).ravel()
-    for panel, name in zip(panels, wanted, strict=False):
-        _panel(figure, panel, table, keys, first, second, name)
+    draw(figure, panels)
     for panel in panels[len(wanted) :]:
         panel.remove()
     statuses, others = table["status"].to_pylist(), [key for key in keys if key not in (first, second)]
@@ -239,15 +245,6 @@ def draw_maps(
         text += f"; {', '.join(others)} {'varies' if len(others) == 1 else 'vary'} too"
     figure.suptitle(text, fontsize="medium", x=0.01, ha="left")
     return figure
-
-
-def _panel(
-    figure: Figure, axes: Axes, table: pa.Table, keys: Sequence[str], first: str, second: str | None, name: str
-) -> None:
-    if second is None:
-        _curves(axes, table, first, name, [key for key in keys if key != first])
-    else:
-        _map(figure, axes, table, first, second, name)
 
 
 def _meant(name: str, known: Sequence[str]) -> str:

@@ -8,6 +8,7 @@ the tip is put as deep as carries the same force.
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import cache, partial
 from itertools import pairwise
 from typing import Any
 
@@ -131,15 +132,12 @@ class Stability:
         self._problem = prepare(scenario, model)
         self._instant = instant_of(self._problem, at, model)
         self.base = loop_at(self._problem, self._instant)
-        self._variants: dict[tuple[str, ...], Variants] = {}
+        self._variants = cache(partial(Variants, scenario))
         self._moved: dict[str, Instant] = {}
 
     def changed(self, values: Mapping[str, Value]) -> Scenario:
         """Return the scenario with other numbers."""
-        keys = tuple(values)
-        if keys not in self._variants:
-            self._variants[keys] = Variants(self.scenario, keys)
-        return self._variants[keys].scenario(tuple(values.values()))
+        return self._variants(tuple(values)).scenario(tuple(values.values()))
 
     def loop(self, values: Mapping[str, Value]) -> LinearLoop:
         """Return the loop with other numbers, about the same motion."""

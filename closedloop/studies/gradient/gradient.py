@@ -178,11 +178,8 @@ def _gathered(
 ) -> list[str]:
     """Put the derivatives of some quantities along all directions into `made` by name; return what is wrong."""
     problems = [f"no derivative with respect to {d}: {known.why}" for d, known in found.items() if known.best is None]
-    begin = 0
-    for each in outputs:
+    for each, part in zip(outputs, differences.slices_of(outputs, run), strict=True):
         value = each.of(run)
-        part = slice(begin, begin + value.size)
-        begin += value.size
         made.value[each.name], made.units[each.name] = _entry(value), each.units
         name = each.name
         made.derivative[name], made.error[name], made.method[name], made.one_sided[name] = {}, {}, {}, {}

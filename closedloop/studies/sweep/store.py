@@ -145,7 +145,7 @@ def run_part_anywhere(job: Job, first: int, points: Sequence[Sequence[Any]]) -> 
 
 FORMAT = "closedloop sweep 2"
 DESCRIPTION = "sweep.json"
-# What is written here, and so may be removed again; earlier versions had a file that they locked.
+# What is written here, and so may be removed again; earlier versions had archives, and a file that they locked.
 _PART = re.compile(r"part-\d{8,}\.(arrow|npz)|lock")
 
 

@@ -14,8 +14,11 @@ from numpy.typing import NDArray
 from robot_models.coordinates import PARTS, PLACES
 from robot_models.errors import ModelError
 from robot_models.load import from_text
+from robot_models.mechanism import symmetric
 from robot_models.model import RobotModel
 from robot_models.physics import check_tensor
+from robot_models.urdf import add_inertial, add_joint
+from robot_models.xml_text import words
 
 Vector = NDArray[np.float64]
 
@@ -49,8 +52,7 @@ class FreeBody:
     def tensor(self) -> Vector:
         """Return the tensor about the origin (3, 3), kg m²."""
         if self.inertia is not None:
-            xx, yy, zz, xy, xz, yz = self.inertia
-            return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+            return symmetric(*self.inertia)
         if self.shape == "box":
             squares = np.square(self.size)
             return self.mass / 12.0 * np.diag(squares.sum() - squares)
@@ -119,25 +121,19 @@ def _add_to_urdf(root: ET.Element, body: FreeBody) -> None:
     children = {joint.find("child").get("link") for joint in root.findall("joint")}  # type: ignore[union-attr]
     base = next(link.get("name", "") for link in root.findall("link") if link.get("name") not in children)
     link = ET.SubElement(root, "link", name=body.name)
-    inertial = ET.SubElement(link, "inertial")
-    ET.SubElement(inertial, "mass", value=repr(body.mass))
-    tensor = body.tensor()
-    entries = {f"i{'xyz'[i]}{'xyz'[j]}": repr(float(tensor[i, j])) for i in range(3) for j in range(i, 3)}
-    ET.SubElement(inertial, "inertia", entries)
+    add_inertial(link, body.mass, body.tensor())
     for tag in ("visual", "collision"):
         shown = ET.SubElement(link, tag)
         geometry = ET.SubElement(shown, "geometry")
         if body.shape == "box":
-            ET.SubElement(geometry, "box", size=_numbers(body.size))
+            ET.SubElement(geometry, "box", size=words(body.size))
         elif body.shape == "ball":
             ET.SubElement(geometry, "sphere", radius=repr(body.size[0]))
         else:
             ET.SubElement(geometry, "cylinder", radius=repr(body.size[0]), length=repr(body.size[1]))
         if tag == "visual":
             ET.SubElement(ET.SubElement(shown, "material", name=f"{body.name} colour"), "color", rgba=_RGBA)
-    joint = ET.SubElement(root, "joint", name=body.name, type="floating")
-    ET.SubElement(joint, "parent", link=base)
-    ET.SubElement(joint, "child", link=body.name)
+    add_joint(root, body.name, "floating", base, body.name)
 
 
 def _add_to_mjcf(root: ET.Element, body: FreeBody) -> None:
@@ -147,11 +143,7 @@ def _add_to_mjcf(root: ET.Element, body: FreeBody) -> None:
     ET.SubElement(own, "joint", name=body.name, type="free")
     T = body.tensor()
     full = (T[0, 0], T[1, 1], T[2, 2], T[0, 1], T[0, 2], T[1, 2])
-    ET.SubElement(own, "inertial", pos="0 0 0", mass=repr(body.mass), fullinertia=_numbers(full))
+    ET.SubElement(own, "inertial", pos="0 0 0", mass=repr(body.mass), fullinertia=words(full))
     kind = "sphere" if body.shape == "ball" else body.shape
     halved = {"box": (0.5, 0.5, 0.5), "ball": (1.0,), "cylinder": (1.0, 0.5)}[body.shape]
-    ET.SubElement(own, "geom", type=kind, size=_numbers(np.array(body.size) * halved), rgba=_RGBA)
-
-
-def _numbers(values: Sequence[float] | Vector) -> str:
-    return " ".join(repr(float(value)) for value in values)
+    ET.SubElement(own, "geom", type=kind, size=words(np.array(body.size) * halved), rgba=_RGBA)

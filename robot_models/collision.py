@@ -10,10 +10,10 @@ import re
 import xml.etree.ElementTree as ET
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import dataclass, field, fields, is_dataclass, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -71,8 +71,8 @@ TOLD = ("description", "source", "notes")
 
 def digest_of(model: RobotModel) -> str:
     """Return the SHA-256 of a robot's description, of what its sidecar adds, and of the meshes that may touch."""
-    read = {each.name: _plain(getattr(model, each.name)) for each in fields(model) if each.name not in TOLD}
-    return hashlib.sha256(json.dumps([read, _meshes(model)]).encode()).hexdigest()
+    read = {each.name: getattr(model, each.name) for each in fields(model) if each.name not in TOLD}
+    return hashlib.sha256(json.dumps([read, _meshes(model)], default=_plain).encode()).hexdigest()
 
 
 def _meshes(model: RobotModel) -> dict[str, str]:
@@ -86,17 +86,11 @@ def _meshes(model: RobotModel) -> dict[str, str]:
 
 
 def _plain(value: Any) -> Any:
-    if is_dataclass(value):
-        return {each.name: _plain(getattr(value, each.name)) for each in fields(value)}
-    if isinstance(value, Mapping):
-        return {key: _plain(each) for key, each in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(each) for each in value]
-    return value.tolist() if isinstance(value, np.ndarray | np.generic) else value
+    """Return what JSON has for an array, a mapping or a dataclass."""
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
+    return dict(value if isinstance(value, Mapping) else vars(value))
 
-
-if TYPE_CHECKING:
-    from robot_models.model import RobotModel
 
 Array = NDArray[np.float64]
 #: Corners that the convex hull of a mesh may have where it touches: each is a contact.

@@ -37,6 +37,11 @@ def shown(value: object) -> str:
         return "a number of thousands of digits"
 
 
+def some(names: list[str]) -> str:
+    """Return four names of a list at most, and how many more there are."""
+    return ", ".join(names[:4]) + (f" and {len(names) - 4} more" if len(names) > 4 else "")
+
+
 @contextmanager
 def warnings_heard() -> Iterator[list[warnings.WarningMessage]]:
     """Collect what Python's libraries warn of within the block, which one thread at a time goes through."""

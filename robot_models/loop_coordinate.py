@@ -20,7 +20,8 @@ from robot_models.errors import ModelError
 from robot_models.loop_joint import FREE, WORLD, LoopJoint
 from robot_models.mechanism import Array, Link, Weight, lumped, turned
 from robot_models.physics import LEAST_INERTIA
-from robot_models.urdf import NO_BOUND, mechanism
+from robot_models.urdf import NO_BOUND, add_inertial, add_joint, mechanism
+from robot_models.xml_text import words
 
 if TYPE_CHECKING:
     import pinocchio as pin
@@ -278,13 +279,11 @@ def _hang(root: ET.Element, loop: LoopJoint, k: int, parent: str, weight: Weight
     for i, (child, (kind, _), joint_name) in enumerate(zip(names, FREE[loop.type], loop.free, strict=True)):
         low, high = loop.limits[i] if loop.limits else (-np.inf, np.inf)
         free = kind == "revolute" and low == -np.inf and high == np.inf
-        joint = ET.SubElement(root, "joint", name=joint_name, type="continuous" if free else kind)
-        ET.SubElement(joint, "parent", link=parent)
-        ET.SubElement(joint, "child", link=child)
+        joint = add_joint(root, joint_name, "continuous" if free else kind, parent, child)
         if i == 0:
             rpy = pin.rpy.matrixToRpy(rotation)
-            ET.SubElement(joint, "origin", xyz=_words(loop.points[1 - k]), rpy=_words(rpy))
-        ET.SubElement(joint, "axis", xyz=_words(axis))
+            ET.SubElement(joint, "origin", xyz=words(loop.points[1 - k]), rpy=words(rpy))
+        ET.SubElement(joint, "axis", xyz=words(axis))
         if not free:
             bounds = {"lower": float(max(low, -NO_BOUND)), "upper": float(min(high, NO_BOUND))}
             ET.SubElement(joint, "limit", {key: repr(x) for key, x in bounds.items()}, effort="0", velocity="0")
@@ -293,13 +292,4 @@ def _hang(root: ET.Element, loop: LoopJoint, k: int, parent: str, weight: Weight
             ET.SubElement(joint, "dynamics", {key: repr(float(x[i])) for key, x in acts.items() if x})
         link = ET.SubElement(root, "link", name=child)
         parent = child
-    inertial = ET.SubElement(link, "inertial")
-    ET.SubElement(inertial, "origin", xyz=_words(weight.centre))
-    ET.SubElement(inertial, "mass", value=repr(float(weight.mass / parts)))
-    tensor = {f"i{a}{b}": repr(float(weight.tensor["xyz".index(a), "xyz".index(b)] / parts))
-              for a, b in ("xx", "xy", "xz", "yy", "yz", "zz")}  # fmt: skip
-    ET.SubElement(inertial, "inertia", tensor)
-
-
-def _words(vector: Sequence[float] | Array) -> str:
-    return " ".join(repr(float(x)) for x in vector)
+    add_inertial(link, weight.mass / parts, weight.tensor / parts, weight.centre)

@@ -32,10 +32,6 @@ def check_count(links: int, joints: int, where: str) -> None:
             raise ModelError(f"{where} has {count} {what}: at most {most} are simulated")
 
 
-def _zeros() -> Array:
-    return np.zeros(3)
-
-
 @dataclass(frozen=True)
 class Weight:
     """What a link weighs: nothing, unless said. All in the link's own frame."""
@@ -43,7 +39,7 @@ class Weight:
     #: kg
     mass: float = 0.0
     #: (3,) m
-    centre: Array = field(default_factory=_zeros)
+    centre: Array = field(default_factory=lambda: np.zeros(3))
     #: (3, 3) about the centre of mass, kg m²
     tensor: Array = field(default_factory=lambda: np.zeros((3, 3)))
 
@@ -72,7 +68,7 @@ class Link:
     #: (4, 4) the joint's frame in the parent's frame at q = 0.
     placement: Array = field(default_factory=lambda: np.eye(4))
     #: (3,) unit vector in the joint's frame.
-    axis: Array = field(default_factory=_zeros)
+    axis: Array = field(default_factory=lambda: np.zeros(3))
     #: (4, 4) the link's frame in the joint's frame.
     offset: Array = field(default_factory=lambda: np.eye(4))
     weight: Weight = field(default_factory=Weight)
@@ -87,6 +83,11 @@ def transform(rotation: Array, translation: Array) -> Array:
     result = np.zeros((4, 4))  # np.eye takes three times as long
     result[:3, :3], result[:3, 3], result[3, 3] = rotation, translation, 1.0
     return result
+
+
+def symmetric(xx: float, yy: float, zz: float, xy: float, xz: float, yz: float) -> Array:
+    """Return the symmetric matrix (3, 3) of six entries."""
+    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
 
 
 def turned(axis: Array, angle: float) -> Array:

@@ -24,11 +24,11 @@ import numpy as np
 from robot_models import mjcf_coupling as coupling
 from robot_models.collision import HULL, MOST_CORNERS
 from robot_models.coordinates import PARTS, PLACES
-from robot_models.errors import ModelError, warnings_heard
+from robot_models.errors import ModelError, some, warnings_heard
 from robot_models.loop_joint import LoopJoint
 from robot_models.mechanism import Array, check_count
 from robot_models.physics import check_size
-from robot_models.xml_text import parse, read_text, tidy
+from robot_models.xml_text import parse, read_text, tidy, words
 
 #: Names of the kinds of joints and of geoms, by MuJoCo's numbers.
 JOINTS = ("free", "ball", "slide", "hinge")
@@ -90,12 +90,12 @@ def read(text: str, where: str, path: Path | None, mocap: Collection[str] = ()) 
     limits = coupling.torque_limits(model)
     plain = ET.Element("mujoco", model=root.get("model") or "model")
     ET.SubElement(plain, "compiler", angle="radian", inertiafromgeom="false", autolimits="true")
-    ET.SubElement(plain, "option", gravity=_words(_gravity(model)))
+    ET.SubElement(plain, "option", gravity=words(_gravity(model)))
     world = ET.SubElement(plain, "worldbody")
     bodies = {0: world}
     for b in range(model.nbody):
         if b:
-            place = {"pos": _words(model.body_pos[b]), "quat": _words(model.body_quat[b])}
+            place = {"pos": words(model.body_pos[b]), "quat": words(model.body_quat[b])}
             bodies[b] = ET.SubElement(bodies[int(model.body_parentid[b])], "body", {"name": names.body[b], **place})
         _write_body(bodies[b], b, model, names, limits)
     _write_hulls(plain, model, names)
@@ -278,39 +278,39 @@ def _write_body(element: ET.Element, b: int, model: Any, names: Names, limits: d
         kind = JOINTS[model.jnt_type[j]]
         given = {"name": names.joint[j], "type": kind}
         if kind != "free":
-            given["pos"] = _words(model.jnt_pos[j])
+            given["pos"] = words(model.jnt_pos[j])
         v = int(model.jnt_dofadr[j])
         if kind in ("slide", "hinge"):
-            given["axis"] = _words(model.jnt_axis[j])
+            given["axis"] = words(model.jnt_axis[j])
             q = int(model.jnt_qposadr[j])
             if model.jnt_limited[j]:
-                given["range"] = _words(model.jnt_range[j])
+                given["range"] = words(model.jnt_range[j])
             for key, value in (("ref", model.qpos0[q]), ("springref", model.qpos_spring[q])):
-                given |= {key: _word(value)} if value else {}
+                given |= {key: words([value])} if value else {}
             if limits.get(j):
                 given["actuatorfrcrange"] = f"{-limits[j]!r} {limits[j]!r}"
-        given |= {"armature": _word(model.dof_armature[v])} if model.dof_armature[v] else {}
+        given |= {"armature": words([model.dof_armature[v]])} if model.dof_armature[v] else {}
         given |= _rough(model.dof_damping[v], model.dof_dampingpoly[v], model.dof_frictionloss[v])
         if kind not in ONE_BY_ONE:
             given |= _three("stiffness", model.jnt_stiffness[j], model.jnt_stiffnesspoly[j])
         ET.SubElement(element, "joint", given)
     if b and model.body_mass[b] > 0.0:
         ET.SubElement(
-            element, "inertial", pos=_words(model.body_ipos[b]), quat=_words(model.body_iquat[b]),
-            mass=_word(model.body_mass[b]), diaginertia=_words(model.body_inertia[b]),
+            element, "inertial", pos=words(model.body_ipos[b]), quat=words(model.body_iquat[b]),
+            mass=words([model.body_mass[b]]), diaginertia=words(model.body_inertia[b]),
         )  # fmt: skip
     for g in range(model.ngeom):
         kind = _GEOMS.get(int(model.geom_type[g]), "")
         if model.geom_bodyid[g] == b and kind:
             ET.SubElement(
-                element, "geom", type=kind, size=_words(model.geom_size[g][: _SIZES[kind]]),
-                pos=_words(model.geom_pos[g]), quat=_words(model.geom_quat[g]),
-                rgba=_words(model.geom_rgba[g].astype(float).round(7)), contype=str(model.geom_contype[g]),
+                element, "geom", type=kind, size=words(model.geom_size[g][: _SIZES[kind]]),
+                pos=words(model.geom_pos[g]), quat=words(model.geom_quat[g]),
+                rgba=words(model.geom_rgba[g].astype(float).round(7)), contype=str(model.geom_contype[g]),
                 conaffinity=str(model.geom_conaffinity[g]),
             )  # fmt: skip
     for s in range(model.nsite):
         if model.site_bodyid[s] == b:
-            place = {"pos": _words(model.site_pos[s]), "quat": _words(model.site_quat[s])}
+            place = {"pos": words(model.site_pos[s]), "quat": words(model.site_quat[s])}
             ET.SubElement(element, "site", {"name": names.site[s], **place})
 
 
@@ -322,7 +322,7 @@ def _write_hulls(plain: ET.Element, model: Any, names: Names) -> None:
     custom, count = ET.Element("custom"), 0
     for i in range(model.nnumeric):  # of a plain text
         if HULL.fullmatch(model.numeric(i).name):
-            ET.SubElement(custom, "numeric", name=model.numeric(i).name, data=_words(model.numeric(i).data))
+            ET.SubElement(custom, "numeric", name=model.numeric(i).name, data=words(model.numeric(i).data))
     for g in np.flatnonzero(model.geom_type == _MESH).tolist():
         corners = _hull(model, g)
         if corners:
@@ -331,7 +331,7 @@ def _write_hulls(plain: ET.Element, model: Any, names: Names) -> None:
             placed = model.geom_pos[g] + model.mesh_vert[corners].astype(float) @ turn.T
             body = names.body[int(model.geom_bodyid[g])]
             numbers = [*model.geom_rgba[g][:3].astype(float).round(7), *placed.round(9).ravel()]
-            ET.SubElement(custom, "numeric", name=f"hull {count} of {body}", data=_words(numbers))
+            ET.SubElement(custom, "numeric", name=f"hull {count} of {body}", data=words(numbers))
     if len(custom):
         plain.append(custom)
 
@@ -355,15 +355,15 @@ def _write_tendons(plain: ET.Element, model: Any, names: Names) -> None:
         if given:
             low, high = model.tendon_lengthspring[t]
             automatic = low == high == -1.0  # which MuJoCo takes for the length where the model is assembled
-            given["springlength"] = _words([np.nextafter(low, 0.0) if automatic else low, high])
+            given["springlength"] = words([np.nextafter(low, 0.0) if automatic else low, high])
         given |= _rough(model.tendon_damping[t], model.tendon_dampingpoly[t], model.tendon_frictionloss[t])
         if model.tendon_limited[t]:
-            given["range"] = _words(model.tendon_range[t])
+            given["range"] = words(model.tendon_range[t])
         joints = coupling.tendon_joints(model, t)
         if joints and (given or t in pulled):
             element = ET.SubElement(made, "fixed", {"name": names.tendon[t], **given})
             for joint, coefficient in joints:
-                ET.SubElement(element, "joint", joint=names.joint[joint], coef=_word(coefficient))
+                ET.SubElement(element, "joint", joint=names.joint[joint], coef=words([coefficient]))
     if len(made):
         plain.append(made)
 
@@ -375,7 +375,7 @@ def _write_drives(plain: ET.Element, model: Any, names: Names) -> None:
     made = ET.SubElement(plain, "actuator")
     for a in range(model.nu):
         kind, target = int(model.actuator_trntype[a]), int(model.actuator_trnid[a][0])
-        gear = {"gear": _word(model.actuator_gear[a][0])}
+        gear = {"gear": words([model.actuator_gear[a][0]])}
         if kind == coupling.AT_TENDON:
             ET.SubElement(made, "motor", {"tendon": names.tendon[target], **gear})
         elif kind in coupling.AT_JOINT and JOINTS[model.jnt_type[target]] not in ONE_BY_ONE:
@@ -384,21 +384,13 @@ def _write_drives(plain: ET.Element, model: Any, names: Names) -> None:
 
 def _rough(damping: Any, more: Any, friction: Any) -> dict[str, str]:
     """Return the attributes of a damper and of dry friction; none of what is zero."""
-    return _three("damping", damping, more) | ({"frictionloss": _word(friction)} if friction else {})
+    return _three("damping", damping, more) | ({"frictionloss": words([friction])} if friction else {})
 
 
 def _three(key: str, first: Any, more: Any) -> dict[str, str]:
     """Return the attribute of a polynomial of three coefficients; none if all are zero."""
     numbers = [first, *more]
-    return {key: _words(numbers)} if any(numbers) else {}
-
-
-def _word(x: float) -> str:
-    return repr(float(x))
-
-
-def _words(vector: Any) -> str:
-    return " ".join(map(_word, vector))
+    return {key: words(numbers)} if any(numbers) else {}
 
 
 def _check(model: Any, names: Names, where: str) -> None:
@@ -442,7 +434,7 @@ def _left_out(model: Any, names: Names) -> list[str]:
     hulls = {int(model.geom_dataid[g]): len(_hull(model, g)) for g in meshes}
     cut = [model.mesh(mesh).name for mesh, corners in hulls.items() if corners >= MOST_CORNERS]
     if cut:
-        found.append(f"convex hulls of meshes have {MOST_CORNERS} corners at most, chosen by MuJoCo: {_some(cut)}")
+        found.append(f"convex hulls of meshes have {MOST_CORNERS} corners at most, chosen by MuJoCo: {some(cut)}")
     kinds = sorted({int(kind) for kind in model.geom_type} & set(_NOT_READ))
     found += [f"{_NOT_READ[kind]} of the file are not read as shapes" for kind in kinds]
     still = [names.body[b] for b in range(model.nbody) if model.body_mocapid[b] >= 0]
@@ -450,13 +442,13 @@ def _left_out(model: Any, names: Names) -> list[str]:
         found.append(f"mocap bodies move as a [[mocap]], or the motion of a [[contact]], says: {', '.join(still)}")
     if model.nv and model.body_gravcomp.any():
         carried = [names.body[b] for b in np.flatnonzero(model.body_gravcomp)]
-        found.append(f"gravcomp does not act ({_some(carried)}): compensation of gravity is the law's")
+        found.append(f"gravcomp does not act ({some(carried)}): compensation of gravity is the law's")
     held = [
         names.joint[j] for j in range(model.njnt)
         if JOINTS[model.jnt_type[j]] in ONE_BY_ONE and (model.jnt_stiffness[j] or np.any(model.jnt_stiffnesspoly[j]))
     ]  # fmt: skip
     if held:
-        found.append(f"springs of joints that turn freely do not act: {_some(held)}")
+        found.append(f"springs of joints that turn freely do not act: {some(held)}")
     for j, (low, high) in enumerate(model.jnt_range.tolist()):
         if not model.jnt_limited[j] and low >= high and (low or high):
             found.append(f"joint {names.joint[j]!r}: range {low:g} {high:g} is invalid and does not act")
@@ -470,12 +462,8 @@ def _left_out(model: Any, names: Names) -> list[str]:
         names.joint[j] for j in range(model.njnt) if model.jnt_limited[j] and JOINTS[model.jnt_type[j]] == "ball"
     ]
     if turning:
-        found.append(f"the range of a ball joint does not act: {_some(turning)}")
+        found.append(f"the range of a ball joint does not act: {some(turning)}")
     return found
-
-
-def _some(names: list[str]) -> str:
-    return ", ".join(names[:4]) + (f" and {len(names) - 4} more" if len(names) > 4 else "")
 
 
 if TYPE_CHECKING:

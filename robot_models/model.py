@@ -19,6 +19,7 @@ from robot_models.cached import cached_property
 from robot_models.coordinates import PLACES, RATES, balls, coordinate_names, coordinate_types, with_rotation_vectors
 from robot_models.errors import ModelError
 from robot_models.loop_joint import LoopJoint
+from robot_models.mechanism import symmetric
 from robot_models.tendon import Tendon, pulls, springs, tendons
 
 if TYPE_CHECKING:
@@ -57,8 +58,7 @@ class Tool:
         Raises `ModelError` if no body has such a tensor: its principal moments must be >= 0, and none may exceed the
         sum of the other two.
         """
-        xx, yy, zz, xy, xz, yz = self.inertia
-        tensor = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+        tensor = symmetric(*self.inertia)
         if not any(self.inertia):
             return tensor
         low, middle, high = np.linalg.eigvalsh(tensor)
@@ -159,6 +159,12 @@ def _is_kept(array: Vector) -> bool:
     return array.dtype == np.float64 and array.base is None and not array.flags.writeable
 
 
+def _read_only(array: Any) -> Any:
+    """Return an array to which nobody can write from now on."""
+    array.setflags(write=False)
+    return array
+
+
 @dataclass(frozen=True, eq=False)
 class RobotModel:
     """A tree of links on a base, moved by n velocities.
@@ -225,9 +231,7 @@ class RobotModel:
         for name in names:
             value = getattr(self, name)
             if isinstance(value, np.ndarray) and not _is_kept(value):
-                value = np.array(value, dtype=np.float64)
-                value.setflags(write=False)
-                object.__setattr__(self, name, value)
+                object.__setattr__(self, name, _read_only(np.array(value, dtype=np.float64)))
 
     def __reduce__(self) -> tuple[Any, ...]:
         # A mapping proxy cannot be pickled, and unpickled arrays would be writable: construct anew instead,
@@ -263,13 +267,7 @@ class RobotModel:
     @cached_property
     def measured(self) -> Vector:
         """1 of each joint that an encoder reads, (n,), 0 of a coordinate of a joint that turns freely."""
-        found = np.ones(self.n)
-        for j in self.balls:
-            found[j : j + 3] = 0.0
-        for j in self.bodies:
-            found[j : j + 3] = 0.0
-        found.setflags(write=False)
-        return found
+        return _read_only(np.where(self.free, 0.0, 1.0))
 
     @cached_property
     def bodies(self) -> tuple[int, ...]:
@@ -288,8 +286,7 @@ class RobotModel:
         found = np.zeros(self.n, dtype=bool)
         for j in self.bodies:
             found[j : j + 6] = True
-        found.setflags(write=False)
-        return found
+        return _read_only(found)
 
     def pinocchio_model(self) -> "pin.Model":
         """Build a fresh Pinocchio model, with nv == n; its positions are those of `coordinates.in_pinocchios_order`.
@@ -314,8 +311,7 @@ class RobotModel:
     def driven(self) -> NDArray[np.bool_]:
         """(n,) whether each joint has a drive; a free joint or a ball joint has none."""
         found = np.array([self.drives is None or name in self.drives for name in self.joint_names]) & ~self.free
-        found.setflags(write=False)
-        return found
+        return _read_only(found)
 
     @cached_property
     def pulls(self) -> tuple[Mapping[str, float], ...]:
@@ -343,8 +339,7 @@ class RobotModel:
             lost = directions[np.count_nonzero(sizes > RANK * sizes[0]) :]
             found = np.concatenate([found, np.zeros((len(lost), self.n))])
             found[len(found) - len(lost) :, pulled] = lost
-        found.setflags(write=False)
-        return found
+        return _read_only(found)
 
     @cached_property
     def free(self) -> NDArray[np.bool_]:
@@ -352,8 +347,7 @@ class RobotModel:
         found = np.zeros(self.n, dtype=bool)
         for j in (*self.balls, *self.bodies):
             found[j : j + 3] = True
-        found.setflags(write=False)
-        return found
+        return _read_only(found)
 
     @property
     def rigid_armature(self) -> Vector:
@@ -368,9 +362,7 @@ class RobotModel:
     @cached_property
     def springs(self) -> NDArray[np.float64]:
         """A row for each spring, see `robot_models.tendon.springs`."""
-        found = springs(self.tendons, self.joint_names)
-        found.setflags(write=False)
-        return found
+        return _read_only(springs(self.tendons, self.joint_names))
 
     @property
     def loop_coordinates(self) -> tuple[str, ...]:

@@ -32,9 +32,9 @@ import numpy as np
 
 from robot_models.errors import ModelError, shown
 from robot_models.loop_joint import LoopJoint, loop_joint
-from robot_models.mechanism import Array, Bounds, Link, Weight, check_count, transform
+from robot_models.mechanism import Array, Bounds, Link, Weight, check_count, symmetric, transform
 from robot_models.physics import check_tensor
-from robot_models.xml_text import angles, numbers, parse, read_text, tidy
+from robot_models.xml_text import angles, numbers, parse, read_text, tidy, words
 
 if TYPE_CHECKING:
     import yourdfpy
@@ -111,7 +111,7 @@ def read(text: str, where: str) -> str:
         if not 1e-9 <= length <= 1e9:
             raise ModelError(f"{at}: axis is {axis.get('xyz')!r}: a moving joint needs a direction")
         if abs(length - 1.0) > _UNIT:
-            axis.set("xyz", " ".join(repr(x / length) for x in xyz))
+            axis.set("xyz", words(x / length for x in xyz))
             changed = True
     return ET.tostring(root, encoding="unicode") if changed else text
 
@@ -333,7 +333,7 @@ NO_BOUND = 1e300
 
 # What Pinocchio needs of a file that `urdf.read` has passed. Shapes, colours, transmissions and what else stands beside
 # them are not the mechanism, and where urdfdom stumbles over one of them it drops the whole joint or file.
-_INERTIAL = {"origin": ("xyz", "rpy"), "mass": ("value",), "inertia": ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")}
+_INERTIAL = {"origin": ("xyz", "rpy"), "mass": ("value",), "inertia": _TENSOR}
 _JOINT = {
     "parent": ("link",), "child": ("link",), "origin": ("xyz", "rpy"), "axis": ("xyz",),
     "dynamics": ("damping", "friction"),
@@ -373,6 +373,24 @@ def _copy(source: ET.Element, target: ET.Element, kept: dict[str, tuple[str, ...
             given = {key: element.attrib[key] for key in keys if key in element.attrib}
             # A link's name may have blanks in it; between numbers one is enough.
             ET.SubElement(target, tag, {k: v if k == "link" else " ".join(v.split()) for k, v in given.items()})
+
+
+def add_inertial(link: ET.Element, mass: float, tensor: Array, centre: Array | None = None) -> None:
+    """Add the inertia of a link: kg, (3, 3) about the centre of mass, kg m², and (3,), m, the origin if left out."""
+    inertial = ET.SubElement(link, "inertial")
+    if centre is not None:
+        ET.SubElement(inertial, "origin", xyz=words(centre))
+    ET.SubElement(inertial, "mass", value=repr(float(mass)))
+    entries = {key: repr(float(tensor["xyz".index(key[1]), "xyz".index(key[2])])) for key in _TENSOR}
+    ET.SubElement(inertial, "inertia", entries)
+
+
+def add_joint(root: ET.Element, name: str, kind: str, parent: str, child: str) -> ET.Element:
+    """Add a joint between two links, and return it."""
+    joint = ET.SubElement(root, "joint", name=name, type=kind)
+    ET.SubElement(joint, "parent", link=parent)
+    ET.SubElement(joint, "child", link=child)
+    return joint
 
 
 def mechanism(text: str) -> list[Link]:
@@ -420,7 +438,7 @@ def _weight(inertial: ET.Element | None) -> Weight:
         return Weight()
     pose = origin_of(inertial)
     xx, xy, xz, yy, yz, zz = (float(_get(inertial, "inertia", key)) for key in _INERTIAL["inertia"])
-    tensor = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    tensor = symmetric(xx, yy, zz, xy, xz, yz)
     turn = pose[:3, :3]
     return Weight(float(_get(inertial, "mass", "value")), pose[:3, 3], turn @ tensor @ turn.T)
 

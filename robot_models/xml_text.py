@@ -8,6 +8,7 @@ import re
 import stat
 import tomllib
 import xml.etree.ElementTree as ET
+from collections.abc import Iterable
 from pathlib import Path
 from sys import float_info
 from typing import Any
@@ -172,6 +173,11 @@ def numbers(value: str, count: int | None, what: str) -> list[float]:
             raise ModelError(f"{what} is {value!r}: {word!r} is too small for a double: write 0")
         result.append(number)
     return result
+
+
+def words(values: Iterable[float]) -> str:
+    """Return numbers as an attribute has them, each read back to the last bit."""
+    return " ".join(repr(float(value)) for value in values)
 
 
 #: A dotted key of more parts than this is an attack or a mistake; the parser's time grows with their cube.

@@ -19,6 +19,7 @@ address and its sizes, and an array view is made where a field is read: see `clo
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import lru_cache
 from typing import Any, ClassVar, get_args, get_type_hints
 
 import numpy as np
@@ -102,8 +103,8 @@ class Layout:
                 size = size * count
             self.end += size
         # A batch makes blocks of the same few sizes thousands of times.
-        self._places: dict[tuple[int, ...], Mapping[str, Place]] = {}
-        self._counts: dict[tuple[Count, tuple[int, ...]], int] = {}
+        self.places = lru_cache(MOST_LAYOUTS)(self._places)
+        self._counted = lru_cache(MOST_LAYOUTS * (len(self.blocks) + 1))(self._value)
         # An interpreted loop makes blocks of the same views at every step.
         self._last: tuple[Array | None, tuple[int, ...], dict[str, Any]] = None, (), {}
 
@@ -111,15 +112,9 @@ class Layout:
         """Return how many numbers the block has."""
         return self._counted(self.end, sizes)
 
-    def _counted(self, count: Count, sizes: tuple[int, ...]) -> int:
-        """Return a count for sizes, kept for the next block of the same."""
-        key = count, sizes
-        found = self._counts.get(key)
-        if found is None:
-            if len(self._counts) >= MOST_LAYOUTS * (len(self.blocks) + 1):
-                self._counts.clear()
-            found = self._counts[key] = count.value(dict(zip(self.sizes, sizes, strict=True)))
-        return found
+    def _value(self, count: Count, sizes: tuple[int, ...]) -> int:
+        """Return a count for sizes."""
+        return count.value(dict(zip(self.sizes, sizes, strict=True)))
 
     def views(self, memory: Array, *sizes: int) -> dict[str, Any]:
         """Return the arrays and blocks of a block by their names; memory is (size, ...), of blocks side by side too."""
@@ -142,18 +137,12 @@ class Layout:
         known = dict(zip(self.sizes, sizes, strict=True))
         return tuple(known[name] for name in kind.layout.sizes)
 
-    def places(self, *sizes: int) -> Mapping[str, Place]:
+    def _places(self, *sizes: int) -> Mapping[str, Place]:
         """Return name, begin, end and shape of each number and array, by its name."""
-        places = self._places.get(sizes)
-        if places is None:
-            known = dict(zip(self.sizes, sizes, strict=True))
-            places = {}
-            for name, counts in self.shape.items():
-                shape, begin = tuple(count.value(known) for count in counts), self.at[name].value(known)
-                places[name] = name, begin, begin + math.prod(shape), shape
-            if len(self._places) >= MOST_LAYOUTS:
-                self._places.clear()
-            self._places[sizes] = places
+        places: dict[str, Place] = {}
+        for name, counts in self.shape.items():
+            shape, begin = tuple(self._value(count, sizes) for count in counts), self._value(self.at[name], sizes)
+            places[name] = name, begin, begin + math.prod(shape), shape
         return places
 
 
@@ -182,8 +171,7 @@ class Block:
         for name, shape in cls.layout.shape.items():
             if not shape:
                 at = cls.layout.at[name]
-                first = set(at.terms) <= {()}
-                setattr(cls, name, _number(at.value({})) if first else _number_after_arrays(name))
+                setattr(cls, name, _number(name, at.value({}) if set(at.terms) <= {()} else None))
         blocks.append(cls)
         for teach in when_made:
             teach(cls)
@@ -233,25 +221,13 @@ def arrays_of(what: Any) -> Iterator[NDArray[Any]]:
             yield from arrays_of(part)
 
 
-def _number(offset: int) -> property:
-    """Return a single number of a block as an attribute."""
+def _number(name: str, offset: int | None) -> property:
+    """Return a single number of a block as an attribute; without an offset its place depends on the sizes."""
 
     def read(block: Block) -> Any:
-        return block.memory[offset]
+        return block.memory[block.layout.places(*block.sizes)[name][1] if offset is None else offset]
 
     def write(block: Block, value: Any) -> None:
-        block.memory[offset] = value
-
-    return property(read, write)
-
-
-def _number_after_arrays(name: str) -> property:
-    """Return a single number whose place depends on the sizes as an attribute."""
-
-    def read(block: Block) -> Any:
-        return block.memory[block.layout.places(*block.sizes)[name][1]]
-
-    def write(block: Block, value: Any) -> None:
-        block.memory[block.layout.places(*block.sizes)[name][1]] = value
+        block.memory[block.layout.places(*block.sizes)[name][1] if offset is None else offset] = value
 
     return property(read, write)

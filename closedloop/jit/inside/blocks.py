@@ -160,46 +160,53 @@ for _block in blocks:
 when_made.append(teach)
 
 
-def _compiled(function: Callable[..., Any], kind: Any) -> None:
-    """Teach numba one of the functions above."""
-    dtype = types.CPointer(kind.dtype)
+def taught(function: Callable[..., Any], answer: Callable[..., Any], *kinds: Any) -> Callable[..., Any]:
+    """Return a decorator of what writes LLVM's code of a function: it teaches numba the function.
+
+    `answer(context, *args)` returns the signature for arguments of such types, None where there is none; `kinds` are
+    the types, or their classes, that the code is for.
+    """
 
     @infer_global(function)
-    class At(AbstractTemplate):
+    class Typing(AbstractTemplate):
         key = function
 
         def generic(self, args: Any, kws: Any) -> Any:
-            fits = len(args) == 1 + kind.ndim and not kws and all(isinstance(x, types.Integer) for x in args)
-            return signature(kind, *(types.intp for _ in args)) if fits else None
+            return answer(self.context, *args) if len(args) == len(kinds) and not kws else None
 
-    @lower_builtin(function, *(types.intp for _ in range(1 + kind.ndim)))
+    return lower_builtin(function, *kinds)
+
+
+def at_address(function: Callable[..., Any], kind: Any) -> None:
+    """Teach numba a function that makes an array of a type of an address and the array's shape."""
+    whole = (types.intp,) * (1 + kind.ndim)
+
+    def answer(context: Any, *args: Any) -> Any:
+        return kind(*whole) if all(isinstance(x, types.Integer) for x in args) else None
+
+    @taught(function, answer, *whole)
     def lower(context: Any, builder: Any, call: Any, arguments: Any) -> Any:
-        data = builder.inttoptr(arguments[0], context.get_value_type(dtype))
+        data = builder.inttoptr(arguments[0], context.get_value_type(types.CPointer(kind.dtype)))
         return array_on(context, builder, kind, data, list(arguments[1:]))
 
 
-_compiled(vector_at, types.Array(types.float64, 1, "C"))
-_compiled(matrix_at, types.Array(types.float64, 2, "C"))
-_compiled(known_matrix_at, types.Array(types.float64, 2, "C"))
-_compiled(fortran_at, types.Array(types.float64, 2, "F"))
-_compiled(integers_at, types.Array(types.int64, 1, "C"))
+at_address(vector_at, types.Array(types.float64, 1, "C"))
+at_address(matrix_at, types.Array(types.float64, 2, "C"))
+at_address(known_matrix_at, types.Array(types.float64, 2, "C"))
+at_address(fortran_at, types.Array(types.float64, 2, "F"))
+at_address(integers_at, types.Array(types.int64, 1, "C"))
 
 
-@infer_global(row_of)
-class RowOf(AbstractTemplate):
-    """The type of a row of a matrix."""
-
-    key = row_of
-
-    def generic(self, args: Any, kws: Any) -> Any:
-        """Return the signature for a matrix in C order and a whole number."""
-        fits = len(args) == 2 and not kws and isinstance(args[0], types.Array) and isinstance(args[1], types.Integer)
-        if not fits or args[0].ndim != 2 or args[0].layout != "C":
-            return None
-        return signature(types.Array(args[0].dtype, 1, "C"), args[0], types.intp)
+def _in_rows(kind: Any, ndim: int) -> bool:
+    return isinstance(kind, types.Array) and kind.ndim == ndim and kind.layout == "C"
 
 
-@lower_builtin(row_of, types.Array, types.intp)
+def _row(context: Any, matrix: Any, i: Any) -> Any:
+    fits = _in_rows(matrix, 2) and isinstance(i, types.Integer)
+    return types.Array(matrix.dtype, 1, "C")(matrix, types.intp) if fits else None
+
+
+@taught(row_of, _row, types.Array, types.intp)
 def _lower_row(context: Any, builder: Any, call: Any, arguments: Any) -> Any:
     matrix = make_array(call.args[0])(context, builder, value=arguments[0])
     columns = cgutils.unpack_tuple(builder, matrix.shape)[1]
@@ -207,39 +214,25 @@ def _lower_row(context: Any, builder: Any, call: Any, arguments: Any) -> Any:
     return array_on(context, builder, call.return_type, data, [columns])
 
 
-@infer_global(matrix_of)
-class MatrixOf(AbstractTemplate):
-    """The type of the first numbers of a vector as a matrix."""
-
-    key = matrix_of
-
-    def generic(self, args: Any, kws: Any) -> Any:
-        """Return the signature for a vector in C order and two whole numbers."""
-        fits = len(args) == 3 and not kws and isinstance(args[0], types.Array)
-        if not fits or args[0].ndim != 1 or args[0].layout != "C":
-            return None
-        return signature(types.Array(args[0].dtype, 2, "C"), args[0], types.intp, types.intp)
+def _matrix(context: Any, vector: Any, rows: Any, columns: Any) -> Any:
+    return types.Array(vector.dtype, 2, "C")(vector, types.intp, types.intp) if _in_rows(vector, 1) else None
 
 
-@lower_builtin(matrix_of, types.Array, types.intp, types.intp)
+@taught(matrix_of, _matrix, types.Array, types.intp, types.intp)
 def _lower_matrix(context: Any, builder: Any, call: Any, arguments: Any) -> Any:
     vector = make_array(call.args[0])(context, builder, value=arguments[0])
     return array_on(context, builder, call.return_type, vector.data, list(arguments[1:]))
 
 
-_WORD = ir.IntType(64)
+_THREE = (types.int64,) * 3
 
 
-@infer_global(call_at)
-class _CallAt(AbstractTemplate):
-    key = call_at
-
-    def generic(self, args: Any, kws: Any) -> Any:
-        fits = len(args) == 3 and not kws and all(isinstance(x, types.Integer) for x in args)
-        return signature(types.int64, types.int64, types.int64, types.int64) if fits else None
+def _call(context: Any, *args: Any) -> Any:
+    return types.int64(*_THREE) if all(isinstance(x, types.Integer) for x in args) else None
 
 
-@lower_builtin(call_at, types.int64, types.int64, types.int64)
+@taught(call_at, _call, *_THREE)
 def _lower_call_at(context: Any, builder: Any, call: Any, values: Any) -> Any:
-    kind = ir.FunctionType(_WORD, [_WORD, _WORD])
+    word = ir.IntType(64)
+    kind = ir.FunctionType(word, [word, word])
     return builder.call(builder.inttoptr(values[0], kind.as_pointer()), values[1:])

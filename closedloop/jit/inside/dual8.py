@@ -11,13 +11,12 @@ from typing import Any
 from llvmlite import ir
 from numba import types
 from numba.core.typing.templates import signature
-from numba.extending import intrinsic, lower_cast
+from numba.extending import lower_cast
 
 from closedloop.jit.dual8 import MANY, along, has_derivatives, settled, slope_of, sought
-from closedloop.jit.inside.simd8 import DOUBLES, LANE, Vector, made_of, repeated, teach, vectors_at
+from closedloop.jit.inside.blocks import at_address
+from closedloop.jit.inside.simd8 import DOUBLES, LANE, Vector, made_of, repeated, teach
 from closedloop.jit.simd8 import WIDE
-
-_intrinsic: Any = intrinsic
 
 _NOTHING = ir.Constant(DOUBLES, [0.0] * WIDE)
 _HEADS = ir.Constant(ir.VectorType(LANE, WIDE), [0] * WIDE)
@@ -316,22 +315,18 @@ teach(settled, (types.float64,) * 3, types.float64, lambda context, b, x, g, slo
 teach(has_derivatives, (types.float64,), types.boolean, lambda context, b, x: ir.IntType(1)(0))
 
 
-@_intrinsic
-def dual_vector_at(typingctx: Any, address: Any, n: Any) -> Any:
+def dual_vector_at(address: Any, n: Any) -> Any:
     """Return the (n,) array of dual8 at an address."""
-    kind, lower = vectors_at(dual8, 1)
-    return kind(types.intp, types.intp), lower
 
 
-@_intrinsic
-def dual_matrix_at(typingctx: Any, address: Any, rows: Any, columns: Any) -> Any:
+def dual_matrix_at(address: Any, rows: Any, columns: Any) -> Any:
     """Return the (rows, columns) array of dual8 at an address, row after row."""
-    kind, lower = vectors_at(dual8, 2)
-    return kind(types.intp, types.intp, types.intp), lower
 
 
-@_intrinsic
-def dual_fortran_at(typingctx: Any, address: Any, rows: Any, columns: Any) -> Any:
+def dual_fortran_at(address: Any, rows: Any, columns: Any) -> Any:
     """Return the (rows, columns) array of dual8 at an address, column after column."""
-    kind, lower = vectors_at(dual8, 2, "F")
-    return kind(types.intp, types.intp, types.intp), lower
+
+
+at_address(dual_vector_at, types.Array(dual8, 1, "C"))
+at_address(dual_matrix_at, types.Array(dual8, 2, "C"))
+at_address(dual_fortran_at, types.Array(dual8, 2, "F"))

@@ -454,14 +454,10 @@ def _quick(passes: Any, state: Any) -> Any:
     return passes
 
 
-class NestedCompiler(CompilerBase):
-    """numba's compiler, with `KeepNested`."""
+class NestedCompiler(EntryCompiler):
+    """The same, with `KeepNested`."""
 
-    def define_pipelines(self) -> list[Any]:
-        """Return numba's passes and ours among them."""
-        passes = DefaultPassBuilder.define_nopython_pipeline(self.state)
-        passes.add_pass_after(KeepNested, NopythonTypeInference)
-        return [_quick(passes, self.state)]
+    first = KeepNested
 
 
 class NestedFunction(CPUDispatcher):

@@ -13,12 +13,11 @@ from typing import Any
 from llvmlite import ir
 from numba import types
 from numba.core.typeconv.castgraph import Conversion
-from numba.core.typing.templates import AbstractTemplate, infer_global, signature
-from numba.extending import intrinsic, lower_builtin, lower_cast, models, overload, register_model
+from numba.extending import intrinsic, lower_cast, models, overload, register_model
 from numba.np.arrayobj import make_array
 
 from closedloop.jit.dual8 import has_derivatives, sought
-from closedloop.jit.inside.blocks import array_on
+from closedloop.jit.inside.blocks import at_address, taught
 from closedloop.jit.inside.inline_once import plain
 from closedloop.jit.simd8 import MANY_TURNS, WIDE, every, nearest, select
 
@@ -65,32 +64,17 @@ def teach(function: Any, kinds: tuple[Any, ...], result: Any, emit: Callable[...
     """
     some = any(isinstance(kind, Vector) for kind in kinds)
 
-    @infer_global(function)
-    class Typing(AbstractTemplate):
-        key = function
+    def answer(context: Any, *args: Any) -> Any:
+        own = not some or any(isinstance(x, Vector) for x in args)
+        fits = own and all(
+            x == kind or (isinstance(kind, Vector) and isinstance(x, kind.others) and not isinstance(x, types.Boolean))
+            for x, kind in zip(args, kinds, strict=True)
+        )
+        return result(*kinds) if fits else None
 
-        def generic(self, args: Any, kws: Any) -> Any:
-            own = not some or any(isinstance(x, Vector) for x in args)
-            fits = len(args) == len(kinds) and all(
-                x == kind
-                or (isinstance(kind, Vector) and isinstance(x, kind.others) and not isinstance(x, types.Boolean))
-                for x, kind in zip(args, kinds, strict=True)
-            )
-            return signature(result, *kinds) if own and fits and not kws else None
-
-    @lower_builtin(function, *kinds)
+    @taught(function, answer, *kinds)
     def lower(context: Any, builder: Any, call: Any, values: Any) -> Any:
         return emit(context, builder, *values)
-
-
-def vectors_at(kind: Any, ndim: int, order: Any = "C") -> tuple[Any, Callable[..., Any]]:
-    """Return the type of an array of vectors, and what writes code for one, of an address and its shape."""
-    array = types.Array(kind, ndim, order)
-
-    def lower(context: Any, builder: Any, call: Any, values: Any) -> Any:
-        return array_on(context, builder, array, builder.inttoptr(values[0], DOUBLES.as_pointer()), list(values[1:]))
-
-    return array, lower
 
 
 _intrinsic: Any = intrinsic  # its annotations know only the function that is written, not the one that is called
@@ -176,39 +160,21 @@ _teach(operator.and_, (answers, answers), answers, _one_instruction("and_"))
 _teach(operator.or_, (answers, answers), answers, _one_instruction("or_"))
 
 
-@infer_global(select)
-class _Select(AbstractTemplate):
-    key = select
-
-    def generic(self, args: Any, kws: Any) -> Any:
-        if len(args) != 3 or kws:
-            return None
-        if args[0] == answers:
-            return signature(float64x8, answers, float64x8, float64x8)
-        kind = self.context.unify_types(*args[1:])
-        known = isinstance(kind, types.Number | Vector)
-        return signature(kind, types.boolean, kind, kind) if known and args[0] == types.boolean else None
+def _selected(context: Any, condition: Any, yes: Any, no: Any) -> Any:
+    if condition == answers:
+        return float64x8(answers, float64x8, float64x8)
+    kind = context.unify_types(yes, no)
+    known = isinstance(kind, types.Number | Vector)
+    return kind(types.boolean, kind, kind) if known and condition == types.boolean else None
 
 
-@lower_builtin(select, types.Any, types.Any, types.Any)
+@taught(select, _selected, types.Any, types.Any, types.Any)
 def _lower_select(context: Any, builder: Any, call: Any, values: Any) -> Any:
     return builder.select(*values)
 
 
 _teach(every, (answers,), types.boolean, lambda builder, x: builder.icmp_unsigned("==", _bits(builder, x), _ALL))
-
-
-@infer_global(every)
-class _Every(AbstractTemplate):
-    key = every
-
-    def generic(self, args: Any, kws: Any) -> Any:
-        return signature(types.boolean, types.boolean) if args == (types.boolean,) and not kws else None
-
-
-@lower_builtin(every, types.boolean)
-def _lower_every(context: Any, builder: Any, call: Any, values: Any) -> Any:
-    return values[0]
+_teach(every, (types.boolean,), types.boolean, lambda builder, x: x)
 
 
 # For compiled code alone.
@@ -259,11 +225,11 @@ def _place(context: Any, builder: Any, call: Any, values: Any) -> Any:
     return builder.gep(entry, [values[2]])
 
 
-@_intrinsic
-def float64x8_at(typingctx: Any, address: Any, count: Any) -> Any:
+def float64x8_at(address: Any, count: Any) -> Any:
     """Return the (count,) array of float64x8 at an address: the memory of an array from `aligned`."""
-    kind, lower = vectors_at(float64x8, 1)
-    return kind(types.intp, types.intp), lower
+
+
+at_address(float64x8_at, types.Array(float64x8, 1, "C"))
 
 
 # numba wants the same names and annotations from what it is given and what it gets.

@@ -178,7 +178,39 @@ def force_error_rate(x: LawInput, par: Any, z: Any, f: float) -> float:
     return rate if x.pressed != 0.0 or (z.force_error < 0.0 < min(rate, x.f_des)) else 0.0
 
 
-class ControlLaw(Parameters):
+class Controller(Parameters):
+    """What a control law and a compensation have in common: states, and functions; see `ControlLaw`."""
+
+    states: ClassVar[tuple[str, ...]] = ()
+    joint_states: ClassVar[tuple[str, ...]] = ()
+
+    @classmethod
+    def check_functions(cls, key: str) -> None:
+        """Refuse names of states that are no tuple of names: ("error") without a comma is a text."""
+        for attribute in ("states", "joint_states"):
+            names: Any = getattr(cls, attribute)
+            if not (isinstance(names, tuple | list) and all(isinstance(n, str) and n.isidentifier() for n in names)):
+                what = f"{key} = {cls.member_name()}: {attribute} = {names!r}"
+                raise ScenarioError(f'{what}: must be a tuple of names, such as ("error",)')
+
+    @staticmethod
+    def torque(x: LawInput, par: Any, z: Any, torque: Array) -> None:
+        """Write Q (n,), N m."""
+
+    @staticmethod
+    def rates(x: LawInput, par: Any, z: Any, f: float, torque: Array, dz: Any) -> None:
+        """Write ż."""
+
+    @staticmethod
+    def start(x: LawInput, par: Any, z: Any) -> None:
+        """Write z at the start of a run."""
+
+    @staticmethod
+    def restart(dv: Array, par: Any, z: Any) -> None:
+        """Tell z of an impact."""
+
+
+class ControlLaw(Controller):
     """[law]: base of all control laws: the desired force, and the force feedback.
 
     A law has these functions. `par` has its parameters by name, one for each joint as arrays (n,); `z` its states and
@@ -201,7 +233,6 @@ class ControlLaw(Parameters):
 
     folder: ClassVar[str] = "closedloop.control.laws"
     states: ClassVar[tuple[str, ...]] = ("force_error",)
-    joint_states: ClassVar[tuple[str, ...]] = ()
 
     force: Annotated[Number, FORCE] = Field(
         10.0,
@@ -221,7 +252,7 @@ class ControlLaw(Parameters):
     @classmethod
     def check_functions(cls, key: str) -> None:
         """Refuse a law without a torque, or with states that nothing integrates."""
-        _check_states(cls, key)
+        super().check_functions(key)
         if cls.torque is ControlLaw.torque:
             raise ScenarioError(
                 f"{key} = {cls.member_name()}: must define @staticmethod def torque(x, par, z, torque), which writes Q"
@@ -242,26 +273,8 @@ class ControlLaw(Parameters):
         """Write ż."""
         dz.force_error = force_error_rate(x, par, z, f)
 
-    @staticmethod
-    def start(x: LawInput, par: Any, z: Any) -> None:
-        """Write z at the start of a run."""
 
-    @staticmethod
-    def restart(dv: Array, par: Any, z: Any) -> None:
-        """Tell z of an impact."""
-
-
-def _check_states(law: "type[ControlLaw] | type[Compensation]", key: str) -> None:
-    """Refuse names of states that are no tuple of names: ("error") without a comma is a text."""
-    for attribute in ("states", "joint_states"):
-        names: Any = getattr(law, attribute)
-        if not (isinstance(names, tuple | list) and all(isinstance(n, str) and n.isidentifier() for n in names)):
-            raise ScenarioError(
-                f'{key} = {law.member_name()}: {attribute} = {names!r}: must be a tuple of names, such as ("error",)'
-            )
-
-
-class Compensation(Parameters):
+class Compensation(Controller):
     """[compensation]: a torque against friction, or for a surface that is not as believed, added to that of the law.
 
     Its functions are those of a law (see `ControlLaw`), but `torque` adds to Q.
@@ -272,32 +285,9 @@ class Compensation(Parameters):
     friction_values: ClassVar[tuple[str, ...]] = ()
     # Whether it needs what a force sensor of three axes reads along the tangents.
     reads_tangential: ClassVar[bool] = False
-    states: ClassVar[tuple[str, ...]] = ()
-    joint_states: ClassVar[tuple[str, ...]] = ()
-
-    @classmethod
-    def check_functions(cls, key: str) -> None:
-        """Refuse states that are no names; as `ControlLaw.check_functions`."""
-        _check_states(cls, key)
 
     def check(self, law: ControlLaw) -> None:
         """Refuse parameters that do not go with a law's."""
-
-    @staticmethod
-    def torque(x: LawInput, par: Any, z: Any, torque: Array) -> None:
-        """Add to Q (n,), N m."""
-
-    @staticmethod
-    def rates(x: LawInput, par: Any, z: Any, f: float, torque: Array, dz: Any) -> None:
-        """Write ż."""
-
-    @staticmethod
-    def start(x: LawInput, par: Any, z: Any) -> None:
-        """Write z at the start of a run."""
-
-    @staticmethod
-    def restart(dv: Array, par: Any, z: Any) -> None:
-        """Tell z of an impact."""
 
 
 LAWS, COMPENSATIONS = Family(ControlLaw, usual="paper"), Family(Compensation, usual="none")

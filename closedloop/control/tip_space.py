@@ -161,15 +161,16 @@ def multiply(A: Array, B: Array, C: Array) -> None:
 
 
 @kernel
-def jacobian_gram(A: Array, first: int, G: Array) -> None:
-    """Write G (3, 3) = A Aᵀ of the rows from `first` on, zero elsewhere."""
+def invert_gram(A: Array, first: int, scratch: Array, P: Array) -> None:
+    """Write P (3, 3) = (A Aᵀ)⁺ of the rows from `first` on, zero elsewhere; of the scratch see `pseudo_inverse`."""
     for i in range(3):
         for k in range(3):
             s = 0.0
             if i >= first and k >= first:
                 for j in range(A.shape[1]):
                     s += A[i, j] * A[k, j]
-            G[i, k] = s
+            P[i, k] = s
+    pseudo_inverse(P, scratch, P)
 
 
 @kernel
@@ -262,13 +263,6 @@ def add_transposed(A: Array, inverse: Array, e: Array, y: Array, joints: Array) 
 
 
 @kernel
-def add_tip_force(A: Array, F: Array, torque: Array) -> None:
-    """Add AᵀF, the torque that makes the tip push with F (3,), N."""
-    for j in range(torque.shape[0]):
-        torque[j] += A[0, j] * F[0] + A[1, j] * F[1] + A[2, j] * F[2]
-
-
-@kernel
 def move_tip(x: LawInput, par: Any, f: float, torque: Array) -> None:
     """Write the torque that gives the tip the acceleration `TipScratch.wanted` and, in contact, presses with f, N.
 
@@ -287,4 +281,5 @@ def move_tip(x: LawInput, par: Any, f: float, torque: Array) -> None:
     for j in range(n):
         torque[j] = x.C[j]
     add_mass_times(x.H, a, 1.0, torque)
-    add_tip_force(x.A, F, torque)
+    for j in range(n):
+        torque[j] += x.A[0, j] * F[0] + x.A[1, j] * F[1] + x.A[2, j] * F[2]

@@ -21,9 +21,9 @@ from closedloop.control.tip_space import (
     TipMotion,
     TipScratch,
     add_mass_times,
-    jacobian_gram,
+    add_transposed,
+    invert_gram,
     posture,
-    pseudo_inverse,
     rest_of,
     wanted_acceleration,
 )
@@ -37,16 +37,13 @@ class DynamicHybridLaw(Approach, TipMotion):
         """Write Q (n,), N m."""
         n, f = x.q.shape[0], commanded_force(x, par, z)
         s = TipScratch(x.scratch, n)
-        y, a = s.force, s.joints
+        a = s.joints
         wanted_acceleration(x, par, f, s.wanted)
-        jacobian_gram(x.A, 0, s.inverse)
-        pseudo_inverse(s.inverse, s.eigen, s.inverse)
+        invert_gram(x.A, 0, s.eigen, s.inverse)
         posture(x, par, a)
         rest_of(x, s.wanted, a, s.rest)
-        for i in range(3):
-            y[i] = s.inverse[i, 0] * s.rest[0] + s.inverse[i, 1] * s.rest[1] + s.inverse[i, 2] * s.rest[2]
+        add_transposed(x.A, s.inverse, s.rest, s.force, a)
         for j in range(n):
-            a[j] += x.A[0, j] * y[0] + x.A[1, j] * y[1] + x.A[2, j] * y[2]
             torque[j] = x.C[j]
         add_mass_times(x.H, a, 1.0, torque)
         if x.pressed != 0.0:

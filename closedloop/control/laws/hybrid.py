@@ -29,9 +29,8 @@ from closedloop.control.tip_space import (
     GainNotNegative,
     TipScratch,
     add_transposed,
-    jacobian_gram,
+    invert_gram,
     motion_along_normal,
-    pseudo_inverse,
 )
 
 
@@ -62,8 +61,7 @@ class HybridLaw(Approach):
             for j in range(n):
                 s.joints[j] = want[j] - have[j]
             # N e = e − A⁺A e
-            jacobian_gram(x.A, 0, s.inverse)
-            pseudo_inverse(s.inverse, s.eigen, s.inverse)
+            invert_gram(x.A, 0, s.eigen, s.inverse)
             for i in range(3):
                 along = 0.0
                 for j in range(n):
@@ -71,8 +69,7 @@ class HybridLaw(Approach):
                 s.rest[i] = -along
             add_transposed(x.A, s.inverse, s.rest, s.force, s.joints)
             # + T⁺ e_t
-            jacobian_gram(x.A, 1, s.inverse)
-            pseudo_inverse(s.inverse, s.eigen, s.inverse)
+            invert_gram(x.A, 1, s.eigen, s.inverse)
             s.rest[0] = 0.0
             for i in range(1, 3):
                 s.rest[i] = x.p_des[i] - x.p[i] if part == 0 else x.u_des[i] - x.u[i]

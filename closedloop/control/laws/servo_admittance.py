@@ -23,7 +23,7 @@ from pydantic import Field
 from closedloop.base.arrays import Array
 from closedloop.base.sections import INERTIA, SPEED, Gain, NotNegative, Positive, gain_in
 from closedloop.control.law import ControlLaw, LawInput, commanded_force, force_error_rate
-from closedloop.control.tip_space import TipScratch, add_transposed, jacobian_gram, pseudo_inverse
+from closedloop.control.tip_space import TipScratch, add_transposed, invert_gram
 from closedloop.jit.kernel import kernel
 
 
@@ -57,8 +57,7 @@ class ServoAdmittanceLaw(ControlLaw):
         """Write Q (n,), N m."""
         n = x.q.shape[0]
         s = TipScratch(x.scratch, n)
-        jacobian_gram(x.A, 0, s.inverse)
-        pseudo_inverse(s.inverse, s.eigen, s.inverse)
+        invert_gram(x.A, 0, s.eigen, s.inverse)
         for i in range(3):
             s.rest[i] = 1.0 if i == 0 else 0.0
         for j in range(n):

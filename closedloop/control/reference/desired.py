@@ -23,9 +23,11 @@ from closedloop.control.reference import path as paths
 from closedloop.control.reference.tip_path import Segment, TipPath, refuse_beyond_edge, refuse_without_normal, seams
 from closedloop.jit.blocks import Block, Count
 from closedloop.jit.interim import call_once
+from closedloop.jit.kernel import plain
 from closedloop.mechanics.loops.bind import loop_memory
 from closedloop.mechanics.loops.solve import along_path
 from closedloop.mechanics.robot.pinocchio import Robot
+from closedloop.mechanics.robot.tree import work_size
 from closedloop.mechanics.surface.placed import PlacedSurface
 from robot_models.model import AT_LIMIT
 
@@ -121,7 +123,8 @@ class Follower(NamedTuple):
             np.zeros((times.size, n)), np.zeros((times.size, n)),
         )  # fmt: skip
         way.q[0] = q
-        outcome, scratch = np.zeros(ik.OUTCOMES), np.zeros(ik.scratch_size(n, held.rows))
+        sizes = n, held.rows, int(plain(work_size)(n))
+        outcome, scratch = np.zeros(ik.OUTCOMES), np.zeros(ik.Scratch.count(*sizes))
         written: list[Array | NDArray[np.int64]] = [way.q, way.v, scratch, outcome]
         loops: tuple[Any, int] = 0, 0
         if robot.model.loops:

@@ -13,15 +13,16 @@ after.
 
 import math
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 
 from closedloop.base.arrays import Array
 from closedloop.control.reference.tip_path import INSTANT
+from closedloop.jit.blocks import Block, Count
 from closedloop.jit.calls import call_at
 from closedloop.jit.interim import call_once
-from closedloop.jit.kernel import entry_kernel, kernel, kernel_inlined, plain
+from closedloop.jit.kernel import entry_kernel, kernel, kernel_inlined
 from closedloop.mechanics.loops.memory import loops_at as loops_memory
 from closedloop.mechanics.loops.solve import NEAREST, TANGENT
 from closedloop.mechanics.robot.tree import Tree, tree_kinematics, tree_turning, work_size
@@ -225,52 +226,30 @@ class Way(NamedTuple):
     v: Array
 
 
-class Scratch(NamedTuple):
-    """Views into the scratch of `walk`: the tip at x, joint velocities, and what `least_norm` needs."""
-
-    J: Array
-    r: Array
-    drift: Array
-    rest: Array
-    x: Array
-    slope: Array
-    total: Array
-    error: Array
-    rate: Array
-    W: Array
-    c: Array
-    turn: Array
-    link: Array
-    axes: Array
-    tree: Array
+N, M = Count.of("n"), Count.of("rows")
 
 
-@kernel
-def _scratch(work: Array, n: int, m: int) -> Scratch:
-    """Return the views for m rows; joint velocities `rest` are zeros and stay so."""
-    at = (2 * m + 3 + 4) * n
-    return Scratch(
-        work[0 : m * n].reshape(m, n),
-        work[at : at + 3],
-        work[at + 3 : at + 6],
-        work[2 * m * n : (2 * m + 1) * n],
-        work[(2 * m + 1) * n : (2 * m + 2) * n],
-        work[(2 * m + 2) * n : (2 * m + 3) * n],
-        work[(2 * m + 3) * n : (2 * m + 4) * n],
-        work[at + 6 : at + 6 + m],
-        work[at + 12 : at + 12 + m],
-        work[m * n : 2 * m * n].reshape(m, n),
-        work[at + 18 : at + 18 + m],
-        work[(2 * m + 4) * n : at].reshape(3, n),
-        work[at + 24 : at + 33].reshape(3, 3),
-        work[at + 33 : at + 42].reshape(3, 3),
-        work[at + 42 :],
-    )
+class Scratch(Block, sizes=("n", "rows", "work")):
+    """Scratch of `walk`, zeros at first: the tip at x, joint velocities, and what `least_norm` needs.
 
+    `rest` stays zero; `tree` has as many numbers as `work_size` says.
+    """
 
-def scratch_size(n: int, m: int = POSITION) -> int:
-    """Return how many numbers of scratch `walk` needs for n joints and m rows; they begin as zeros."""
-    return (2 * m + 7) * n + 42 + int(plain(work_size)(n))
+    J: Annotated[Array, M, N]
+    W: Annotated[Array, M, N]
+    rest: Annotated[Array, N]
+    x: Annotated[Array, N]
+    slope: Annotated[Array, N]
+    total: Annotated[Array, N]
+    turn: Annotated[Array, 3, N]
+    r: Annotated[Array, 3]
+    drift: Annotated[Array, 3]
+    error: Annotated[Array, M]
+    rate: Annotated[Array, M]
+    c: Annotated[Array, M]
+    link: Annotated[Array, 3, 3]
+    axes: Annotated[Array, 3, 3]
+    tree: Annotated[Array, Count.of("work")]
 
 
 @entry_kernel
@@ -278,13 +257,13 @@ def walk(tree: Tree, work: Array, way: Way, outcome: Array, loops: int, loops_at
     """Follow the tip's path from knot to knot, and return how many knots were reached.
 
     `tree`: the robot.
-    `work`, (scratch_size(n, way.rows),) array: scratch, zeros at first.
+    `work`: the memory of a `Scratch`.
     `way`: q and v are written, those of a knot that was not reached too, as far as they are there.
     `outcome` (OUTCOMES,): written: `ENDED` and `MIDWAY`.
     `loops`, `loops_at`: addresses of the entry of the mechanism's loops, `closedloop.mechanics.loops.assemble`, and of
         their memory; 0: none.
     """
-    w = _scratch(work, tree.n, way.rows)
+    w = Scratch(work, tree.n, way.rows, work_size(tree.n))
     outcome[ENDED], outcome[MIDWAY] = REACHED, 0.0
     _look(tree, w, way, way.q[0], way.knots[0], loops, loops_at)
     least_norm(w.J, w.rate, w.W, w.c, way.v[0])

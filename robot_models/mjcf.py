@@ -41,8 +41,6 @@ _SIZES = {"sphere": 1, "capsule": 2, "cylinder": 2, "ellipsoid": 3, "box": 3}
 ONE_BY_ONE, POSITIONS = {"ball": 3, "free": 6}, {"ball": 4, "free": 7}
 
 _MUSCLE, _MESH, _OF_ITS_HULL = 2, 7, 0
-# Which kinds of objects MuJoCo names, by the names of its fields.
-_NAMED = ("body", "jnt", "site", "eq", "tendon", "actuator")
 
 
 # Numbers that place, move or weigh, by kinds of objects.
@@ -135,7 +133,7 @@ class Names:
     """
 
     def __init__(self, model: Any):
-        self._texts, self._at = model.names, {kind: getattr(model, f"name_{kind}adr") for kind in _NAMED}
+        self._model = model
         used: set[str] = {"world"}
         self.body = ["world"] + [
             _unused(self.own("body", b) or f"body{b}", used, "body") for b in range(1, model.nbody)
@@ -144,17 +142,13 @@ class Names:
         taken = {self.own("jnt", j) for j in range(model.njnt)}
         own = {self.own("tendon", t) for t in range(model.ntendon)}
         self.tendon = [self.own("tendon", t) or _unused(f"tendon {t + 1}", own, "tendon") for t in range(model.ntendon)]
-        self.joint = []
-        for j in range(model.njnt):
-            named = self.own("jnt", j)
-            if not named:
-                named = _unused(self.body[model.jnt_bodyid[j]], taken, "joint")
-            self.joint.append(named)
+        self.joint = [
+            self.own("jnt", j) or _unused(self.body[model.jnt_bodyid[j]], taken, "joint") for j in range(model.njnt)
+        ]
 
     def own(self, kind: str, index: int) -> str:
-        """Return the name that the file gives to an object, "" if none."""
-        start = int(self._at[kind][index])
-        return str(self._texts[start : self._texts.index(b"\0", start)].decode())
+        """Return the name that the file gives to an object of a kind, as "body", "jnt" or "eq"; "" if none."""
+        return str(getattr(self._model, kind)(index).name)
 
 
 def _unused(name: str, used: set[str], kind: str) -> str:

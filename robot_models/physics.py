@@ -34,7 +34,7 @@ SINGULAR = 1e-10
 LEAST_INERTIA = 1e-15
 
 
-def check_tensor(tensor: NDArray[np.float64], mass: float, what: str, rounding: float = ROUNDING) -> str:
+def check_tensor(tensor: NDArray[np.float64], mass: float, what: str) -> str:
     """Refuse a rotational inertia with a negative moment, and say of one that no mass distribution can have why not.
 
     A tensor about the centre of mass belongs to a body if and only if its principal moments are not
@@ -46,7 +46,6 @@ def check_tensor(tensor: NDArray[np.float64], mass: float, what: str, rounding: 
     tensor: (3, 3), about the centre of mass, kg m²
     mass: of the body, kg
     what: how to name its owner in a message
-    rounding: what is forgiven as rounding of printed digits, relative to the largest moment. MuJoCo forgives nothing.
     Raises `ModelError` if a number is so large that the moments cannot be found, or a principal moment is negative, by
     more than rounding of printed digits.
     """
@@ -56,7 +55,7 @@ def check_tensor(tensor: NDArray[np.float64], mass: float, what: str, rounding: 
         low = mid = high = np.nan
     if not np.isfinite([low, mid, high]).all():
         raise ModelError(f"{what} is not finite: some number is far too large")
-    slack = rounding * max(high, 0.0) + (POINT**2 * max(mass, 0.0) if rounding else 0.0)
+    slack = ROUNDING * max(high, 0.0) + POINT**2 * max(mass, 0.0)
     moments = f"principal moments {low:.4g}, {mid:.4g}, {high:.4g} kg m²"
     if not low >= -slack:
         raise ModelError(f"{what} is not positive definite ({moments}): check the signs of its entries")

@@ -32,6 +32,7 @@ from pathlib import Path
 
 from robot_models.errors import ModelError, shown
 from robot_models.loop_joint import LoopJoint, loop_joint
+from robot_models.physics import MOST
 from robot_models.xml_text import read_text, toml_tables
 
 _TEXTS = ("description", "source", "tip")
@@ -39,9 +40,6 @@ _TABLES = ("home", "lock", "drive_inertia")
 _LISTS = ("drives", "closed_loop")
 # What no scenario has.
 _OWN = {"source", "tip", *_TABLES, *_LISTS}
-
-# No joint turns or reaches farther, and no drive is heavier: products of larger numbers might not be numbers.
-MOST_POSITION, MOST_INERTIA = 1e6, 1e9
 
 
 @dataclass(frozen=True)
@@ -114,7 +112,7 @@ def _check_table(path: Path, key: str, table: object, joints: Collection[str]) -
             near = get_close_matches(joint, joints, n=1)
             hint = f"did you mean {near[0]!r}?" if near else f"the joints are {', '.join(joints)}"
             raise ModelError(f"{path}: [{key}] names {shown(joint)}, which is no moving joint: {hint}")
-        most, unit = (MOST_INERTIA, "kg m² (kg)") if key == "drive_inertia" else (MOST_POSITION, "rad (m)")
+        most, unit, _ = MOST["armature" if key == "drive_inertia" else "home"]
         number = isinstance(value, int | float) and not isinstance(value, bool)
         if not number or not abs(value) <= most or (key == "drive_inertia" and value < 0):
             wanted = f"zero or more, at most {most:g} {unit}" if key == "drive_inertia" else f"at most {most:g} {unit}"

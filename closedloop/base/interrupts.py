@@ -45,18 +45,24 @@ def _raise(number: int, frame: FrameType | None) -> None:
 
 
 @contextmanager
+def _handled(number: int, usual: Any, handler: Any) -> Iterator[None]:
+    """Let a signal have another handler meanwhile, if it has the usual one."""
+    if threading.current_thread() is not threading.main_thread() or signal.getsignal(number) is not usual:
+        yield
+        return
+    signal.signal(number, handler)
+    try:
+        yield
+    finally:
+        signal.signal(number, usual)
+
+
+@contextmanager
 def as_exceptions() -> Iterator[list[int]]:
     """Let Ctrl-C raise KeyboardInterrupt again meanwhile, after `leave_quietly`; yield a list of those that came."""
-    ours = threading.current_thread() is threading.main_thread() and signal.getsignal(signal.SIGINT) is _leave
     _came.clear()
-    if not ours:
+    with _handled(signal.SIGINT, _leave, _raise):
         yield _came
-        return
-    signal.signal(signal.SIGINT, _raise)
-    try:
-        yield _came
-    finally:
-        signal.signal(signal.SIGINT, _leave)
 
 
 def exit_status(interruption: BaseException) -> int:
@@ -73,15 +79,8 @@ def word_for(interruption: BaseException) -> str:
 @contextmanager
 def terminable() -> Iterator[None]:
     """Let SIGTERM raise `Terminated`, unless it has a handler already."""
-    ours = threading.current_thread() is threading.main_thread()
-    if not ours or signal.getsignal(signal.SIGTERM) is not signal.SIG_DFL:
+    with _handled(signal.SIGTERM, signal.SIG_DFL, _terminate):
         yield
-        return
-    signal.signal(signal.SIGTERM, _terminate)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, signal.SIG_DFL)
 
 
 def _terminate(number: int, frame: FrameType | None) -> None:

@@ -32,25 +32,18 @@ def _shown(*columns: str | ProgressColumn) -> Progress:
 
 
 @contextmanager
-def bar(name: str, steps: int) -> Iterator[Callable[[int, int], None]]:
-    """Yield a function of (steps done, steps in all) that draws a bar, if standard error is a terminal."""
-    from rich.progress import BarColumn, TimeRemainingColumn
-
-    with _shown("{task.description}", BarColumn(), "{task.percentage:3.0f} %", TimeRemainingColumn()) as progress:
-        task = progress.add_task(name, total=steps)
-        yield lambda done, total: progress.update(task, completed=done)
-
-
-@contextmanager
 def reporting(
     progress: bool | Callable[[int, int], None] | None, name: str, total: int
 ) -> Iterator[Callable[[int, int], None]]:
-    """Yield a function of (done, in all): `progress` itself, if it is True a bar, else one that shows nothing."""
-    if progress is True:
-        with bar(name, total) as report:
-            yield report
-    else:
+    """Yield a function of (done, in all): `progress` itself; if it is True a bar on a terminal; else a silent one."""
+    if progress is not True:
         yield progress or (lambda done, total: None)
+        return
+    from rich.progress import BarColumn, TimeRemainingColumn
+
+    with _shown("{task.description}", BarColumn(), "{task.percentage:3.0f} %", TimeRemainingColumn()) as shown:
+        task = shown.add_task(name, total=total)
+        yield lambda done, total: shown.update(task, completed=done)
 
 
 @contextmanager

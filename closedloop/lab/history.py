@@ -396,18 +396,17 @@ class Shown(Pages):
     """The page of what another part of the program simulates: it is told what to draw, and moves nothing there.
 
     `title`: the page's title until a message says another.
-    `host`, `port`: where it listens; the next free port is taken if this one is in use.
+    `port`: where it listens, for this computer alone; the next free one is taken if it is in use.
     `run`: returns the message of the run for a page, by the part of the time and the columns that it has chosen.
     Raises OutputError if it cannot listen there.
     """
 
     def __init__(
-        self, title: str, host: str = "127.0.0.1", port: int = FIRST_PORT,
-        run: Callable[[Client], Message | None] = lambda client: None,
+        self, title: str, port: int = FIRST_PORT, run: Callable[[Client], Message | None] = lambda client: None
     ) -> None:  # fmt: skip
         super().__init__()
         self._run = run
-        self.listen(host, port, lambda nonce: page(title, nonce=nonce), self._said)
+        self.listen("127.0.0.1", port, lambda nonce: page(title, nonce=nonce), self._said)
 
     def tell_run(self) -> None:
         """Send each page the run as it is now."""

@@ -41,6 +41,8 @@ from closedloop.simulation.prepare import load_model
 from robot_models.mechanism import transform
 from robot_models.mechanism import turned as rotation_about
 from robot_models.model import Tool
+from robot_models.urdf import add_inertial, add_joint
+from robot_models.xml_text import words
 
 JOINTS = 7
 # What stands for a limit that there is none of, and a deceleration, rad/s², that makes the limit of the speed that of
@@ -62,14 +64,10 @@ def describe(robot: Robot, flange: str) -> str:
     for j in range(JOINTS):
         place, body = model.jointPlacements[j + 1], model.inertias[j + 1]
         turned = turned @ place.rotation
-        inertial = ET.SubElement(ET.SubElement(root, "link", name=f"link{j + 1}"), "inertial")
-        ET.SubElement(inertial, "origin", xyz=_text(body.lever), rpy="0 0 0")
-        ET.SubElement(inertial, "mass", value=repr(float(body.mass)))
-        tensor = np.array(body.inertia)
-        places = {"ixx": (0, 0), "ixy": (0, 1), "ixz": (0, 2), "iyy": (1, 1), "iyz": (1, 2), "izz": (2, 2)}
-        ET.SubElement(inertial, "inertia", {name: repr(float(tensor[at])) for name, at in places.items()})
+        link = ET.SubElement(root, "link", name=f"link{j + 1}")
+        add_inertial(link, body.mass, np.array(body.inertia), body.lever)
         joint = _joint(root, j + 1, "revolute", place.rotation, place.translation)
-        ET.SubElement(joint, "axis", xyz=_text(turned.T @ axes[:, j]))
+        ET.SubElement(joint, "axis", xyz=words(turned.T @ axes[:, j]))
         ET.SubElement(
             joint, "limit", lower=_limit(limits.position_lower[j]), upper=_limit(limits.position_upper[j]),
             velocity=_limit(limits.velocity_limit[j]), effort=_limit(limits.effort_limit[j]),
@@ -82,16 +80,10 @@ def describe(robot: Robot, flange: str) -> str:
 
 
 def _joint(root: ET.Element, number: int, kind: str, rotation: Array, translation: Array) -> ET.Element:
-    joint = ET.SubElement(root, "joint", name=f"joint{number}", type=kind)
-    ET.SubElement(joint, "parent", link=f"link{number - 1}")
-    ET.SubElement(joint, "child", link=f"link{number}")
+    joint = add_joint(root, f"joint{number}", kind, f"link{number - 1}", f"link{number}")
     angles = Rotation.from_matrix(np.array(rotation)).as_euler("xyz")
-    ET.SubElement(joint, "origin", xyz=_text(translation), rpy=_text(angles))
+    ET.SubElement(joint, "origin", xyz=words(translation), rpy=words(angles))
     return joint
-
-
-def _text(numbers: Array) -> str:
-    return " ".join(repr(float(number)) for number in numbers)
 
 
 def _limit(value: float) -> str:

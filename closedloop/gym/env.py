@@ -30,9 +30,9 @@ class Shown:
     def _show(self, render_mode: str, i: int) -> Any:
         """Return a picture of environment `i`, or show it in the browser."""
         if self._view is None:
-            from closedloop.gym.view import view_of
+            from closedloop.gym.view import VIEWS
 
-            self._view = view_of(render_mode, self.core)
+            self._view = VIEWS[render_mode](self.core)
         return self._view.show(i)
 
     def _close(self) -> None:

@@ -22,6 +22,7 @@ from closedloop.mechanics.closure.contact_force import FREE, STUCK
 from closedloop.scenario.load import load_scenario
 from closedloop.scenario.scenario import Scenario
 from closedloop.simulation.ensemble.member import Between
+from robot_models.cached import cached_property
 
 # A tip is held if it is slower than this, m/s, and further from where it is wanted than this, m.
 SLOW, AWAY = 2e-3, 2e-3
@@ -114,36 +115,31 @@ class Now:
         self.action: Array = np.zeros((count, numbers))
         self.action_before: Array = np.zeros((count, numbers))
         self.steps = 1
-        self._known: dict[str, Any] = {}
 
     def changed(self) -> None:
         """Discard the values computed from the arrays, because the arrays were written."""
-        self._known.clear()
+        for name in ("contact", "sticks", "free_share", "force_error"):
+            vars(self).pop(name, None)
 
-    def _once(self, name: str, compute: Callable[[], Any]) -> Any:
-        if name not in self._known:
-            self._known[name] = compute()
-        return self._known[name]
-
-    @property
+    @cached_property
     def contact(self) -> Mask:
         """Whether the tip touches the surface."""
-        return self._once("contact", lambda: self._mode != FREE)
+        return self._mode != FREE
 
-    @property
+    @cached_property
     def sticks(self) -> Mask:
         """Whether it sticks to it."""
-        return self._once("sticks", lambda: self._mode == STUCK)
+        return self._mode == STUCK
 
-    @property
+    @cached_property
     def free_share(self) -> Array:
         """Share of the rows since the control instant before at which the tip was off the surface."""
-        return self._once("free_share", lambda: self._free / self.steps)
+        return self._free / self.steps
 
-    @property
+    @cached_property
     def force_error(self) -> Array:
         """True force minus the desired one, N."""
-        return self._once("force_error", lambda: self.f - self.f_des)
+        return self.f - self.f_des
 
     @property
     def held(self) -> Mask:

@@ -117,6 +117,5 @@ def shown_forces(core: Core, i: int) -> tuple[list[str], Array]:
     return [contact.name or f"contact {k + 1}" for k, contact in enumerate(scenario.contact)], now.link_forces[i].copy()
 
 
-def view_of(render_mode: str, core: Core) -> Any:
-    """Return what shows the environments: `show(i)` and `close()`."""
-    return Pictures(core) if render_mode == "rgb_array" else Browser(core)
+# What shows environments by `show(i)`, until `close()`, by the render mode.
+VIEWS = {"rgb_array": Pictures, "human": Browser}

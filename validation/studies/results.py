@@ -13,7 +13,7 @@ import numpy as np
 from closedloop.base.arrays import Array, plain
 from closedloop.base.errors import ClosedLoopError, InterruptedRunError, faults_on_one_line
 from closedloop.base.files import what_was_written, write_whole
-from closedloop.base.progress import bar
+from closedloop.base.progress import reporting
 from closedloop.record.report.control_verdict import told
 from closedloop.record.run import Run
 from closedloop.scenario.scenario import Scenario
@@ -50,7 +50,7 @@ def measured(
 def each(name: str, cells: Sequence[tuple[Any, ...]], run: Callable[..., dict[str, Any]]) -> list[dict[str, Any]]:
     """Return what `run` gives of the arguments in each cell; a bar on standard error says how far it is."""
     results: list[dict[str, Any]] = []
-    with bar(name, len(cells)) as report:
+    with reporting(True, name, len(cells)) as report:
         for cell in cells:
             results.append(run(*cell))
             report(len(results), len(cells))

@@ -24,7 +24,6 @@ contact the free arm is judged. Contact, friction and other postures change the 
 refusal.
 """
 
-import itertools
 from collections.abc import Callable, Hashable, Sequence
 from operator import is_, itemgetter
 from typing import Any, NamedTuple
@@ -221,56 +220,92 @@ class Sliding(NamedTuple):
 
 
 def without_normal(mobility: Array, normal: Array, push: Array) -> Array:
-    """Return what a contact that pushes leaves of H⁻¹ (n, n), where the tip cannot move along the normal.
+    """Return what a contact that pushes leaves of H⁻¹ (..., n, n), where the tip cannot move along the normal.
 
-    A push (n,) along the joints has friction in it, as the normal (n,) has not: a torque that presses also brakes.
+    A push (..., n) along the joints has friction in it, as the normal (..., n) has not: a torque that presses also
+    brakes.
     """
-    along = float(normal @ mobility @ push)
-    return mobility - np.outer(mobility @ push, normal @ mobility) / along if along > 0.0 else mobility
+    pushed, felt = mobility @ push[..., None], normal[..., None, :] @ mobility
+    along = felt @ push[..., None]
+    return mobility - np.divide(pushed @ felt, along, out=np.zeros_like(mobility), where=along > 0.0)
 
 
 def feedbacks(scenario: Scenario, robot: Robot, sliding: Sliding | None = None) -> list[Feedback]:
     """Return the feedback of the scenario's law, in decoupled parts, at the start posture or where the tip slips."""
-    law, n = scenario.law, robot.n
     q = start_posture(scenario, robot.model) if sliding is None else sliding.q
-    terms = robot.terms(q, np.zeros(n))
-    surface = PlacedSurface.of(scenario.surface, scenario.surface_motion, terms.position, radius=scenario.tool.radius)
-    A = surface.touching(terms.position).frame @ terms.jacobian
-    held = scenario.surface.contact == "bilateral" or sliding is not None
-    push = A[0] if sliding is None else sliding.push @ terms.jacobian
+    return [
+        each._replace(stiffness=each.stiffness[0], damping=each.damping[0])
+        for each in _feedbacks_at([scenario], robot, q[None], sliding)
+    ]
+
+
+def _feedbacks_at(
+    scenarios: Sequence[Scenario], robot: Robot, q: Array, sliding: Sliding | None = None
+) -> list[Feedback]:
+    """Return `feedbacks` of R scenarios that differ in the start and in numbers of the law alone, (R, m, m).
+
+    `q` (R, n): their postures; (1, n): that of all.
+    Raises LinAlgError if one of several has a joint that moves no inertia.
+    """
+    first, n = scenarios[0], robot.n
+    terms = [robot.terms(each, np.zeros(n)) for each in q]
+    surface = PlacedSurface.of(first.surface, first.surface_motion, terms[0].position, radius=first.tool.radius)
+    if surface.fixed_plane:
+        frames = surface.frame[None]
+    else:
+        frames = np.stack([surface.below(each.position, 0.0).touching(each.position).frame for each in terms])
+    jacobian = np.stack([each.jacobian for each in terms])
+    A = frames @ jacobian
+    held = first.surface.contact == "bilateral" or sliding is not None
+    push = A[:, 0] if sliding is None else sliding.push @ jacobian
     try:
-        motors = np.diag(transmission_constants(scenario.transmission, robot.model)[2])  # zero: they are in H
-        mobility = closed_mobility(robot, q, np.linalg.inv(terms.mass_matrix + motors))
+        motors = np.diag(transmission_constants(first.transmission, robot.model)[2])  # zero: they are in H
+        mobility = np.linalg.inv(np.stack([each.mass_matrix for each in terms]) + motors)
+        if robot.model.loops:
+            mobility = np.stack([closed_mobility(robot, *each) for each in zip(q, mobility, strict=True)])
     except np.linalg.LinAlgError:  # some joint moves no inertia: the run says so
+        if len(scenarios) > 1:
+            raise
         return []
-    S = A @ mobility @ A.T
-    if held and S[0, 0] > 0.0:
-        mobility = without_normal(mobility, A[0], push)
-        S -= np.outer(S[:, 0], S[0]) / S[0, 0]
+    S = A @ mobility @ A.swapaxes(1, 2)
+    if held:
+        pressed = S[:, :1, :1] > 0.0
+        mobility = np.where(pressed, without_normal(mobility, A[:, 0], push), mobility)
+        S = S - np.divide(S[:, :, :1] @ S[:, :1], S[:, :1, :1], out=np.zeros_like(S), where=pressed)
     parts: list[Feedback] = []
-    if law.kind in ("paper", "hybrid"):
-        kp, kd = (mobility * per_joint(f"law.{name}", getattr(law, name), n) for name in ("kp", "kd"))
+
+    def gain(name: str) -> Array:
+        """Return a gain of each, (R, 1, 1), or on each joint, (R, 1, n)."""
+        return _told([getattr(each.law, name) for each in scenarios], f"law.{name}", n)
+
+    def acting(spring: str, damper: str, on: Array) -> None:
+        parts.append(Feedback(f"law.{spring}", f"law.{damper}", gain(spring) * on, gain(damper) * on))
+
+    if first.law.kind in ("paper", "hybrid"):
         acts = np.eye(n)
-        if isinstance(law, HybridLaw):  # T⁺T + N of `closedloop.control.laws.hybrid`
-            acts += np.linalg.pinv(A[1:]) @ A[1:] - np.linalg.pinv(A) @ A
-        parts.append(Feedback("law.kp", "law.kd", kp @ acts, kd @ acts))
-    if isinstance(law, HybridLaw) and not held:
-        parts.append(_scalar("law.approach_damping", 0.0, "law.approach_damping", law.approach_damping))
-    if isinstance(law, TipMotion):
-        parts.append(_scalar("law.motion_stiffness", law.motion_stiffness, "law.motion_damping", law.motion_damping))
-    if isinstance(law, ImpedanceLaw):
-        along = S[1:, 1:]
-        parts.append(Feedback("law.stiffness", "law.damping", law.stiffness * along, law.damping * along))
+        if isinstance(first.law, HybridLaw):  # T⁺T + N of `closedloop.control.laws.hybrid`
+            acts = acts + np.linalg.pinv(A[:, 1:]) @ A[:, 1:] - np.linalg.pinv(A) @ A
+        kp, kd = (mobility * gain(name) @ acts for name in ("kp", "kd"))
+        parts.append(Feedback("law.kp", "law.kd", kp, kd))
+    if isinstance(first.law, HybridLaw) and not held:
+        damping = gain("approach_damping")
+        parts.append(Feedback("law.approach_damping", "law.approach_damping", np.zeros_like(damping), damping))
+    if isinstance(first.law, TipMotion):
+        acting("motion_stiffness", "motion_damping", np.ones(1))
+    if isinstance(first.law, ImpedanceLaw):
+        acting("stiffness", "damping", S[:, 1:, 1:])
         if not held:
-            parts.append(
-                _scalar("law.normal_stiffness", law.normal_stiffness * S[0, 0],
-                        "law.normal_damping", law.normal_damping * S[0, 0])
-            )  # fmt: skip
-    if isinstance(law, Posture) and n > np.linalg.matrix_rank(A):
-        names = ("law.posture_stiffness", "law.posture_damping")
-        pull, damping = (per_joint(name, getattr(law, name.removeprefix("law.")), n) for name in names)
-        parts.append(Feedback(*names, np.diag(pull), np.diag(damping)))
+            acting("normal_stiffness", "normal_damping", S[:, :1, :1])
+    if isinstance(first.law, Posture) and np.any(free := n > np.linalg.matrix_rank(A)):
+        acting("posture_stiffness", "posture_damping", np.eye(n) * free[:, None, None])
     return parts
+
+
+def _told(values: Sequence[float | tuple[float, ...]], key: str, n: int) -> Array:
+    """Return values of a key of R runs, (R, 1, 1), or (R, 1, n) if one of them is a list with an entry a joint."""
+    if any(isinstance(each, tuple) for each in values):
+        return np.stack([per_joint(key, each, n) for each in values])[:, None]
+    return np.array(values, dtype=np.float64)[:, None, None]
 
 
 def closed_mobility(robot: Robot, q: Array, mobility: NDArray[Any]) -> Array:
@@ -283,10 +318,6 @@ def closed_mobility(robot: Robot, q: Array, mobility: NDArray[Any]) -> Array:
 def held_at(G: Array, mobility: Array) -> Array:
     """Return what is left of a mobility (n, n) where G q̈ = 0, of rows (m, n) that may depend on each other."""
     return mobility - mobility @ G.T @ np.linalg.pinv(G @ mobility @ G.T, rcond=REDUNDANT) @ G @ mobility
-
-
-def _scalar(spring: str, stiffness: float, damper: str, damping: float) -> Feedback:
-    return Feedback(spring, damper, np.array([[stiffness]]), np.array([[damping]]))
 
 
 class Pressed(NamedTuple):
@@ -514,25 +545,28 @@ def unresolved_feedback(scenario: Scenario, robot: Robot) -> list[str]:
 
 def unresolved_feedbacks(scenarios: Sequence[Scenario], robot: Robot) -> list[list[str]]:
     """Return `unresolved_feedback` of each of several scenarios of a robot, which are looked at together."""
-    parts: list[list[Mode]] = []
+    lines: list[list[str]] = [[] for _ in scenarios]
+    alike: dict[Hashable, list[int]] = {}  # those that differ in the start and in numbers of the law alone
     for i, each in enumerate(scenarios):
-        again = i > 0 and same_feedback(each, scenarios[i - 1])
-        parts.append(parts[-1] if again else _of_feedback(each, robot))
-    lines: dict[int, list[str]] = {}  # of each mode, by its identity
-    alike: dict[Hashable, list[tuple[Mode, Scenario]]] = {}
-    for modes, scenario in zip(parts, scenarios, strict=True):
+        if _acts_at_each_stage(each):
+            alike.setdefault((type(each.law), *map(id, _BESIDE_THE_LAW(vars(each)))), []).append(i)
+    for members in alike.values():
+        some = [scenarios[i] for i in members]
+        h, starts = some[0].time.step, [each.start for each in some]
+        same = all(each is starts[0] for each in starts)
+        q = np.stack([start_posture(each, robot.model) for each in (some[:1] if same else some)])
+        try:
+            modes = _of_feedback(some, robot, q)
+        except np.linalg.LinAlgError:
+            modes = []
+            for i in members:
+                lines[i] = unresolved_feedback(scenarios[i], robot)
         for mode in modes:
-            if id(mode) not in lines:
-                lines[id(mode)] = []
-                key = mode.integrator, scenario.time.step, mode.stiffness.shape
-                alike.setdefault(key, []).append((mode, scenario))
-    for some in alike.values():
-        (first, scenario), h = some[0], some[0][1].time.step
-        stiffness, damping = (np.stack([mode[k] for mode, _ in some]) for k in (1, 2))
-        wrong = _is_wrong(_rates(first.integrator, h, stiffness, damping), h, WRONG_FEEDBACK)
-        for mode, scenario in itertools.compress(some, wrong):
-            lines[id(mode)] = _line(mode, scenario, decays=True, least=WRONG_FEEDBACK)
-    return [[line for mode in modes for line in lines[id(mode)]] for modes in parts]
+            wrong = _is_wrong(_rates(mode.integrator, h, mode.stiffness, mode.damping), h, WRONG_FEEDBACK)
+            for k in np.flatnonzero(wrong):
+                own = mode._replace(stiffness=mode.stiffness[k], damping=mode.damping[k])
+                lines[members[k]] += _line(own, some[k], decays=True, least=WRONG_FEEDBACK)
+    return lines
 
 
 def _is_wrong(rates: tuple[ComplexArray, ComplexArray], h: float, least: float) -> NDArray[np.bool_]:
@@ -543,39 +577,50 @@ def _is_wrong(rates: tuple[ComplexArray, ComplexArray], h: float, least: float) 
     return wrong
 
 
-# What `unresolved_feedback` depends on, beside the law but for its force, and the robot.
-_OF_FEEDBACK = itemgetter("start", "surface", "surface_motion", "tool", "transmission", "encoder", "time", "reference")
+# What `unresolved_feedback` depends on, beside the law but for its force, the start, and the robot.
+_BESIDE_THE_LAW = itemgetter("surface", "surface_motion", "tool", "transmission", "encoder", "time", "reference")
 
 
 def same_feedback(one: Scenario, other: Scenario) -> bool:
     """Whether two scenarios of a batch have the same feedback, since their sections are the same."""
     law, its = vars(one.law), vars(other.law)
     return (
-        all(map(is_, _OF_FEEDBACK(vars(one)), _OF_FEEDBACK(vars(other))))
+        one.start is other.start
+        and all(map(is_, _BESIDE_THE_LAW(vars(one)), _BESIDE_THE_LAW(vars(other))))
         and type(one.law) is type(other.law)
         and all(law[key] is its[key] or law[key] == its[key] for key in law if key != "force")
     )
 
 
-def _of_feedback(scenario: Scenario, robot: Robot, sliding: Sliding | None = None) -> list[Mode]:
-    """Return what a law's feedback makes the arm do, where it acts at every stage of the scheme."""
-    name, start = scenario.time.integrator, getattr(scenario.law, "pd_start", 0.0)
-    if name not in INTEGRATORS or scenario.law.sample_period or scenario.reads_encoders:
-        return []
+def _acts_at_each_stage(scenario: Scenario) -> bool:
+    """Whether a law's feedback acts in a run, and at every stage of the scheme."""
+    start = getattr(scenario.law, "pd_start", 0.0)
+    if scenario.time.integrator not in INTEGRATORS or scenario.law.sample_period or scenario.reads_encoders:
+        return False
     if start is None:
         start = getattr(scenario.reference, "start", 0.0)  # as `closedloop.simulation.prepare` has it
-    if start >= scenario.time.duration:
-        return []
-    return [
-        Mode(f"{feedback.spring}, {feedback.damper}", feedback.stiffness, feedback.damping, name)
-        for feedback in feedbacks(scenario, robot, sliding)
-        if all(np.all(np.isfinite(matrix)) for matrix in feedback[2:])
-    ]
+    return bool(start < scenario.time.duration)
+
+
+def _of_feedback(
+    scenarios: Sequence[Scenario], robot: Robot, q: Array, sliding: Sliding | None = None
+) -> list[Mode]:
+    """Return what a law's feedback makes the arm do, of R scenarios as in `_feedbacks_at`; none of one not finite."""
+    modes = []
+    with np.errstate(over="ignore", invalid="ignore"):
+        for each in _feedbacks_at(scenarios, robot, q, sliding):
+            stiffness, damping = np.broadcast_arrays(each.stiffness, each.damping)
+            finite = np.isfinite(stiffness + damping).all(axis=(1, 2))[:, None, None]
+            acting = np.where(finite, stiffness, 0.0), np.where(finite, damping, 0.0)
+            modes.append(Mode(f"{each.spring}, {each.damper}", *acting, scenarios[0].time.integrator))
+    return modes
 
 
 def _with_feedback(slipping: Mode, scenario: Scenario, robot: Robot, sliding: Sliding | None) -> list[str]:
     """Return a line, in a list, where friction and a law damp joints too fast for the step, and the law alone not."""
-    for mode in _of_feedback(scenario, robot, sliding):
+    q = start_posture(scenario, robot.model) if sliding is None else sliding.q
+    for stacked in _of_feedback([scenario], robot, q[None], sliding) if _acts_at_each_stage(scenario) else []:
+        mode = stacked._replace(stiffness=stacked.stiffness[0], damping=stacked.damping[0])
         acts = mode.key == "law.kp, law.kd" and np.any(mode.damping)
         if acts and not _line(mode, scenario, decays=True, least=WRONG_FEEDBACK):
             both = Mode(f"{slipping.key}, {mode.key}", mode.stiffness, mode.damping + slipping.damping, mode.integrator)

@@ -55,6 +55,8 @@ def gain_of(value: Any) -> Any:
     """Return one number, or a list of them as a tuple; pydantic's union would blame a branch not meant."""
     if not isinstance(value, (list, tuple)):
         return _finite(value)
+    if {*map(type, value)} == {float} and all(map(math.isfinite, value)):
+        return tuple(value)
     for index, entry in enumerate(value):
         try:
             _finite(entry)
@@ -143,13 +145,14 @@ class Size:
 
     def fault(self, value: float) -> str:
         """Return what would be right in place of this number, or "" if it is."""
+        size = abs(value)
+        if self.least <= size <= self.most or size == 0.0:
+            return ""
         unit = f" {self.unit}" if self.unit else ""
-        if not abs(value) <= self.most:
+        if not size <= self.most:
             bound = f"at most {self.most:g}" if value > 0.0 else f"at least {-self.most:g}"
             return f"must be {bound}{unit}: {self.why}"
-        if 0.0 < abs(value) < self.least:
-            return f"must be at least {self.least:g}{unit}: {self.tiny}"
-        return ""
+        return f"must be at least {self.least:g}{unit}: {self.tiny}"
 
     def __str__(self) -> str:
         span = f"at most {self.most:g}" if self.least == 0.0 else f"from {self.least:g} to {self.most:g}"

@@ -336,7 +336,7 @@ def plain(value: Any) -> Any:
     if isinstance(value, Mapping):
         return {key: plain(each) for key, each in value.items()}
     if isinstance(value, list | tuple):
-        return [plain(each) for each in value]
+        return list(value) if {*map(type, value)} == {float} else [plain(each) for each in value]
     return value.tolist() if isinstance(value, np.ndarray | np.generic) else deepcopy(value)
 
 

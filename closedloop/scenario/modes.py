@@ -304,7 +304,7 @@ def _feedbacks_at(
 def _told(values: Sequence[float | tuple[float, ...]], key: str, n: int) -> Array:
     """Return values of a key of R runs, (R, 1, 1), or (R, 1, n) if one of them is a list with an entry a joint."""
     if any(isinstance(each, tuple) for each in values):
-        return np.stack([per_joint(key, each, n) for each in values])[:, None]
+        return np.array([per_joint(key, each, n) for each in values])[:, None]
     return np.array(values, dtype=np.float64)[:, None, None]
 
 
@@ -602,9 +602,7 @@ def _acts_at_each_stage(scenario: Scenario) -> bool:
     return bool(start < scenario.time.duration)
 
 
-def _of_feedback(
-    scenarios: Sequence[Scenario], robot: Robot, q: Array, sliding: Sliding | None = None
-) -> list[Mode]:
+def _of_feedback(scenarios: Sequence[Scenario], robot: Robot, q: Array, sliding: Sliding | None = None) -> list[Mode]:
     """Return what a law's feedback makes the arm do, of R scenarios as in `_feedbacks_at`; none of one not finite."""
     modes = []
     with np.errstate(over="ignore", invalid="ignore"):

@@ -86,16 +86,17 @@ class OtherLaw:
         return getattr(self._scenario, name)
 
 
-def without_force(law: Section) -> Section:
-    """Return a law that does not say a force: nothing that is made of it can depend on that."""
+def without(law: Section, *keys: str) -> Section:
+    """Return a law that does not say these: nothing that is made of it can depend on them."""
     alone = law.with_valid({})
-    vars(alone).pop("force", None)
+    for key in keys:
+        vars(alone).pop(key, None)
     return alone
 
 
-def forceless(make: Maker) -> Maker:
-    """Return the maker, which reads the part "forceless" as the law; see `without_force`."""
-    return lambda scenario, of: make(OtherLaw(scenario, of.forceless), of)
+def law_as(part: str, make: Maker) -> Maker:
+    """Return the maker, which reads a part as the law: one `without` some of its keys."""
+    return lambda scenario, of: make(OtherLaw(scenario, getattr(of, part)), of)
 
 
 class Asked:

@@ -47,11 +47,13 @@ from closedloop.simulation.engines import scenario_numbers
 from closedloop.simulation.engines.bind_contacts import contact_rows, placed_contacts
 from closedloop.simulation.engines.problem import STICK_SPEED, Problem
 from closedloop.simulation.loop_calls import have_compiled
-from closedloop.simulation.parts import Cache, Made, Maker, Parts, Watched, forceless, without_force
+from closedloop.simulation.parts import Cache, Made, Maker, Parts, Watched, law_as, without
 from robot_models import RobotModel
 from robot_models.bodies import only_bodies
 from robot_models.model import AT_LIMIT
 
+# Numbers of a law that change from run to run, on which neither its states nor its class depend.
+OFTEN_OTHER = "force", "kp", "kd"
 # A path on a surface that moves goes on this much longer than the run, so that its last row is no end of it.
 BEYOND = 1.001
 # Memory of a robot, with Pinocchio's model and data, about, bytes.
@@ -319,8 +321,8 @@ def _completed(s: Any, of: Made) -> Scenario | None:
 
 # What is made of a scenario as it is given.
 OF_GIVEN: dict[str, Maker] = {
-    "forceless": lambda s, of: without_force(s.law),
-    "member_digests": forceless(lambda s, of: member_digests(s)),
+    "gainless": lambda s, of: without(s.law, *OFTEN_OTHER),
+    "member_digests": law_as("gainless", lambda s, of: member_digests(s)),
     "bare": lambda s, of: of.model_given or of.cache.get(
         ("model", model_key(s)), lambda: load_model(s), lambda model: ROBOT_BYTES
     ),
@@ -414,14 +416,15 @@ def _mode(s: Any, of: Made) -> int:
 
 # What is made of a scenario as its run has it. First what is wrong with where it starts is said.
 OF_WHOLE: dict[str, Maker] = {
-    "forceless": lambda s, of: without_force(s.law),
+    "forceless": lambda s, of: without(s.law, "force"),
+    "gainless": lambda s, of: without(of.forceless, *OFTEN_OTHER),
     "asked": lambda s, of: start_state(s, _model_of(of)),
-    "lengths": forceless(lambda s, of: _refuse(_wrong_lengths(s, _model_of(of)))),
+    "lengths": law_as("forceless", lambda s, of: _refuse(_wrong_lengths(s, _model_of(of)))),
     "combinations": lambda s, of: refuse_combinations(s, _model_of(of)),
     "joint_law": lambda s, of: arm.joint_friction_of(s, _model_of(of)),
     "scheme": lambda s, of: time_step.integrator_of(s, of.joint_law),
     "load_friction": lambda s, of: _refuse_load_friction(s, of.joint_law),
-    "states": forceless(lambda s, of: StatesOf.of(s, _model_of(of).n)),
+    "states": law_as("gainless", lambda s, of: StatesOf.of(s, _model_of(of).n)),
     "plain": lambda s, of: not scenario_numbers.calls_any_law(s, _model_of(of)),
     "papers_law": lambda s, of: not scenario_numbers.is_no_papers_law(of.forceless),
     "general": lambda s, of: not of.plain or not of.papers_law,
@@ -433,7 +436,7 @@ OF_WHOLE: dict[str, Maker] = {
     "period": lambda s, of: of.forceless.sample_period,
     "count": lambda s, of: time_step.steps_and_hold(s, of.period, of.record.width),
     "believed_law": lambda s, of: _believed_compensation(s),
-    "sampling": forceless(lambda s, of: _check_compensation(s, of.believed_law)),
+    "sampling": law_as("forceless", lambda s, of: _check_compensation(s, of.believed_law)),
     "compiling": _compiling,
     "h": lambda s, of: s.time.step,
     "friction": lambda s, of: scenario_numbers.pack_friction(s.friction, _model_of(of).n),
@@ -470,7 +473,7 @@ OF_WHOLE: dict[str, Maker] = {
     "table": _table,
     "draws": _draws,
     "wanted": lambda s, of: Desired(of.path[0].tip, of.path[0].joints, s.force_profile, s.law.force),
-    "pd_start": forceless(lambda s, of: _pd_start(s, of.path[0].tip)),
+    "pd_start": law_as("gainless", lambda s, of: _pd_start(s, of.path[0].tip)),
     "law": lambda s, of: scenario_numbers.pack_law(
         s.law.with_valid({"pd_start": of.pd_start}) if isinstance(s.law, PaperLaw) else s.law, _model_of(of).n,
         _model_of(of).joint_names,

@@ -351,9 +351,9 @@ def negative_gain(scenario: Scenario) -> str:
 
 def _below(gain: Any) -> bool:
     """Whether a gain, or one of several, is below zero; without numpy, for batches ask it of every run."""
-    if isinstance(gain, tuple | list):
-        return any(map(_below, gain))
-    return gain is not None and bool(gain < 0.0 if isinstance(gain, float) else np.any(gain < 0.0))
+    if isinstance(gain, tuple):
+        return len(gain) > 0 and min(gain) < 0.0
+    return gain is not None and gain < 0.0
 
 
 def run_signals(run: Record) -> Signals | None:

@@ -16,7 +16,7 @@ from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.scenario.load import shipped_scenarios
 from closedloop.simulation import prepare as prepare_module
 from closedloop.simulation.loop_calls import Driver
-from closedloop.simulation.parts import Cache, Parts, forceless, without_force
+from closedloop.simulation.parts import Cache, Parts, law_as, without
 from closedloop.simulation.simulate import run_loop
 
 # A soft and rough surface, a sampled law and a sensor with noise; see `closedloop.gym.terms`.
@@ -235,15 +235,15 @@ def test_what_is_made_of_a_law_without_its_force_cannot_depend_on_it():
     """It is made anew where another gain is said and not for another force, and fails where it reads the force."""
     made = []
     makers = {
-        "forceless": lambda given, of: without_force(given.law),
-        "gain": forceless(lambda given, of: made.append(given.law.kp) or (given.law.kp, given.has_surface)),
+        "forceless": lambda given, of: without(given.law, "force"),
+        "gain": law_as("forceless", lambda given, of: made.append(given.law.kp) or (given.law.kp, given.has_surface)),
     }
     parts, scenario = Parts(makers, ()), scenario_with({})
     for changes in ({}, {"law.force": 12.0}, {"law.kp": 700.0}, {"law.kp": 700.0, "law.force": 3.0}):
         now = scenario.replace(changes) if changes else scenario
         assert parts.turn_to(now)["gain"] == (now.law.kp, True)
     assert made == [scenario.law.kp, 700.0]
-    wrong = Parts(makers | {"gain": forceless(lambda given, of: given.law.force)}, ())
+    wrong = Parts(makers | {"gain": law_as("forceless", lambda given, of: given.law.force)}, ())
     with pytest.raises(AttributeError, match="force"):
         wrong.turn_to(scenario)
 

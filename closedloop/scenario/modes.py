@@ -248,19 +248,19 @@ def _feedbacks_at(
     Raises LinAlgError if one of several has a joint that moves no inertia.
     """
     first, n = scenarios[0], robot.n
-    terms = [robot.terms(each, np.zeros(n)) for each in q]
-    surface = PlacedSurface.of(first.surface, first.surface_motion, terms[0].position, radius=first.tool.radius)
+    masses = np.stack([robot.mass_matrix(each) for each in q])
+    tips, jacobian = map(np.stack, zip(*(robot.known_tip(robot.pinocchios(each)) for each in q), strict=True))
+    surface = PlacedSurface.of(first.surface, first.surface_motion, tips[0], radius=first.tool.radius)
     if surface.fixed_plane:
         frames = surface.frame[None]
     else:
-        frames = np.stack([surface.below(each.position, 0.0).touching(each.position).frame for each in terms])
-    jacobian = np.stack([each.jacobian for each in terms])
+        frames = np.stack([surface.below(tip, 0.0).touching(tip).frame for tip in tips])
     A = frames @ jacobian
     held = first.surface.contact == "bilateral" or sliding is not None
     push = A[:, 0] if sliding is None else sliding.push @ jacobian
     try:
         motors = np.diag(transmission_constants(first.transmission, robot.model)[2])  # zero: they are in H
-        mobility = np.linalg.inv(np.stack([each.mass_matrix for each in terms]) + motors)
+        mobility = np.linalg.inv(masses + motors)
         if robot.model.loops:
             mobility = np.stack([closed_mobility(robot, *each) for each in zip(q, mobility, strict=True)])
     except np.linalg.LinAlgError:  # some joint moves no inertia: the run says so

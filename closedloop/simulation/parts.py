@@ -11,7 +11,7 @@ from collections import OrderedDict
 from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from itertools import compress
-from operator import is_not, itemgetter
+from operator import is_, is_not, itemgetter
 from typing import Any, TypeVar, cast
 
 import numpy as np
@@ -206,7 +206,9 @@ def alike(one: Any, other: Any) -> bool:
         return False
     if isinstance(one, Section):
         says, its = vars(one), vars(other)
-        return says == its and all(said is its[key] or alike(said, its[key]) for key, said in says.items())  # 0 == −0
+        return says == its and (
+            all(map(is_, says.values(), its.values())) or all(map(alike, says.values(), its.values()))  # 0 == −0
+        )
     if isinstance(one, tuple):
         return len(one) == len(other) and all(map(alike, one, other))
     if isinstance(one, float):

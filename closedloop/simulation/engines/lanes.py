@@ -476,7 +476,6 @@ class LaneRuns:
         self._constants[:, lane] = constants.memory
         self._work.q[:, lane], self._work.v[:, lane] = problem.q, problem.v
         self._work.tip.frame[..., lane] = problem.frame
-        self._largest[0, lane] = np.abs(problem.forces[:: problem.nodes]).max()
         self._given.append(problem.forces)
         self._tables.append(problem.bare_table)
         if loop is not None and lane == 0:
@@ -487,6 +486,7 @@ class LaneRuns:
         self._forces[:, :count] = np.transpose(self._given[:count])
         if self.kind.many:
             self._forces += 0.0  # as the law is told it where it is asked by address
+        self._largest[0, :count] = np.abs(self._forces[:: self._sizes.nodes, :count]).max(axis=0)
         for part in (self._constants, self._forces, self._largest, self._work.q, self._work.v, self._work.tip.frame):
             part[..., count:] = part[..., :1]  # unused lanes repeat the first
         addresses = [address_of(table) for table in self._tables[:count]]

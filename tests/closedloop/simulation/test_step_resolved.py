@@ -6,7 +6,8 @@ import pytest
 import closedloop as cl
 import robot_models
 from closedloop.run import warn_of_gains
-from closedloop.scenario.modes import unresolved, unresolved_feedback, wrong_by
+from closedloop.scenario.load import Variants
+from closedloop.scenario.modes import unresolved, unresolved_feedback, unresolved_feedbacks, wrong_by
 
 ELASTIC = {"transmission.stiffness": 7e4, "transmission.damping": 3.8, "transmission.motor_inertia": 0.05}
 
@@ -195,3 +196,58 @@ def test_a_soft_surface_that_stiffens_is_judged_at_the_force_that_the_tip_presse
     lines, _ = faults_of(changes)
     assert lines[0].startswith("compliance: rk4 with time.step = 0.001 s gets a swing of ")
     assert faults_of({**changes, "compliance": hertz | {"stiffness": 1e6}})[0] == []
+
+
+SPREAD = {  # by kind of law: gains, and by how many powers of ten they are raised
+    "paper": {"law.kp": 6.0, "law.kd": 5.0},
+    "hybrid": {"law.kp": 6.0, "law.kd": 5.0, "law.approach_damping": 3.0},
+    "operational": {"law.motion_stiffness": 4.0, "law.motion_damping": 3.0, "law.posture_damping": 3.0},
+    "impedance": {"law.stiffness": 4.0, "law.damping": 4.0, "law.normal_damping": 4.0},
+}
+SURFACES = {
+    "plane": {"surface.contact": "unilateral"},
+    "held": {},
+    "sphere": {"surface.kind": "sphere", "surface.radius": 0.5},
+}
+
+
+@pytest.mark.parametrize("surface", SURFACES)
+@pytest.mark.parametrize("kind", SPREAD)
+def test_feedbacks_looked_at_together_are_as_each_alone(kind, surface):
+    """Of runs with other gains and other starts the same is said, whatever is beside them."""
+    random = np.random.default_rng(len(kind))
+    base = cl.load_scenario("wam_slide", {"law.kind": kind, **SURFACES[surface], "reference.kind": "hold"})
+    robot = cl.Robot(robot_models.load("wam4"), "tip")
+    keys = (*SPREAD[kind], "start.q")
+    scenarios = [base, base]
+    for _ in range(30):
+        gains = [float(10.0 ** random.uniform(0.0, most)) for most in SPREAD[kind].values()]
+        if kind in ("paper", "hybrid") and random.uniform() < 0.5:  # one for all joints, or a list
+            gains[0] = (gains[0] * random.uniform(0.5, 1.0, robot.n)).tolist()
+        scenarios.append(
+            Variants(base, keys).scenario((*gains, (base.start.q + random.uniform(-0.3, 0.3, 4)).tolist()))
+        )
+    some = [Variants(base, keys[:1]).scenario((float(x),)) for x in 10.0 ** random.uniform(0.0, 6.0, 8)]  # of one start
+    together = unresolved_feedbacks(scenarios + some, robot)
+    assert together == [unresolved_feedback(each, robot) for each in scenarios + some]
+    assert any(together)
+    assert not all(together)
+
+
+@pytest.mark.parametrize(
+    ("key", "bad"),
+    [
+        ("law.kp", [1.0, 2.0, float("nan"), 3.0]), ("law.kp", [1.0, 2.0, -1e13, 3.0]), ("law.kd", [1.0, 2.0]),
+        ("law.kp", [1.0, 2.0, True, 3.0]), ("start.q", [0.1, 0.2, float("inf"), 0.3]),
+        ("start.q", [9.0, 0.0, 0.0, 0.0]),
+    ],
+)  # fmt: skip
+def test_a_bad_number_in_one_run_of_a_batch_is_refused_as_by_itself(key, bad):
+    """One run is refused with the line that it says alone, and the others run."""
+    base = cl.load_scenario("wam_slide", {"time.duration": 0.02, "reference.kind": "hold"})
+    good = list(base.start.q) if key == "start.q" else [100.0, 90.0, 80.0, 70.0]
+    rows = cl.simulate_batch(base, {key: [good, bad, good, good]}).to_pylist()
+    assert [row["status"] for row in rows] == ["done", "refused", "done", "done"]
+    with pytest.raises(cl.ScenarioError) as alone:
+        cl.simulate(base.replace({key: bad}), engine="compiled")
+    assert rows[1]["reason"] == " ".join(str(alone.value).split())

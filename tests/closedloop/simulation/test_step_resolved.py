@@ -201,7 +201,7 @@ def test_a_soft_surface_that_stiffens_is_judged_at_the_force_that_the_tip_presse
 SPREAD = {  # by kind of law: gains, and by how many powers of ten they are raised
     "paper": {"law.kp": 6.0, "law.kd": 5.0},
     "hybrid": {"law.kp": 6.0, "law.kd": 5.0, "law.approach_damping": 3.0},
-    "operational_space": {"law.motion_stiffness": 4.0, "law.motion_damping": 3.0, "law.posture_damping": 3.0},
+    "operational_space": {"law.motion_stiffness": 7.0, "law.motion_damping": 4.0, "law.posture_damping": 4.0},
     "impedance": {"law.stiffness": 4.0, "law.damping": 4.0, "law.normal_damping": 4.0},
 }
 SURFACES = {

@@ -219,7 +219,7 @@ class Sliding(NamedTuple):
     push: Array
 
 
-def without_normal(mobility: Array, normal: Array, push: Array) -> Array:
+def without_normal(mobility: NDArray[Any], normal: Array, push: Array) -> Array:
     """Return what a contact that pushes leaves of H⁻¹ (..., n, n), where the tip cannot move along the normal.
 
     A push (..., n) along the joints has friction in it, as the normal (..., n) has not: a torque that presses also

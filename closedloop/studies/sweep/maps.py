@@ -232,7 +232,7 @@ def draw_maps(
     if width != WIDE:  # as wide as is asked for, and as high as text of the same size needs
         size = width, size[1] * math.sqrt(width / size[0])
     figure = Figure(figsize=size, layout="constrained")
-    panels = figure.subplots(rows, columns, squeeze=False).ravel()
+    panels = figure.subplots(rows, columns, squeeze=False).ravel().tolist()
     draw(figure, panels)
     for panel in panels[len(wanted) :]:
         panel.remove()

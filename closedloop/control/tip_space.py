@@ -258,8 +258,14 @@ def add_transposed(A: Array, inverse: Array, e: Array, y: Array, joints: Array) 
     """Add Aᵀ(A Aᵀ)⁺e to `joints`; `y` (3,) is scratch."""
     for i in range(3):
         y[i] = inverse[i, 0] * e[0] + inverse[i, 1] * e[1] + inverse[i, 2] * e[2]
-    for j in range(joints.shape[0]):
-        joints[j] += A[0, j] * y[0] + A[1, j] * y[1] + A[2, j] * y[2]
+    add_tip_force(A, y, joints)
+
+
+@kernel
+def add_tip_force(A: Array, F: Array, torque: Array) -> None:
+    """Add AᵀF, the torque that makes the tip push with F (3,), N."""
+    for j in range(torque.shape[0]):
+        torque[j] += A[0, j] * F[0] + A[1, j] * F[1] + A[2, j] * F[2]
 
 
 @kernel
@@ -281,5 +287,4 @@ def move_tip(x: LawInput, par: Any, f: float, torque: Array) -> None:
     for j in range(n):
         torque[j] = x.C[j]
     add_mass_times(x.H, a, 1.0, torque)
-    for j in range(n):
-        torque[j] += x.A[0, j] * F[0] + x.A[1, j] * F[1] + x.A[2, j] * F[2]
+    add_tip_force(x.A, F, torque)

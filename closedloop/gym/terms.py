@@ -118,7 +118,7 @@ class Now:
 
     def changed(self) -> None:
         """Discard the values computed from the arrays, because the arrays were written."""
-        for name in ("contact", "sticks", "free_share", "force_error"):
+        for name in _COMPUTED:
             vars(self).pop(name, None)
 
     @cached_property
@@ -148,6 +148,10 @@ class Now:
         slow = (speed * speed).sum(axis=1) < SLOW * SLOW
         touching = (self.link_forces > 0.0).any(axis=1)
         return slow & touching & ((off * off).sum(axis=1) > AWAY * AWAY)
+
+
+# What `Now` computes from its arrays once a step.
+_COMPUTED = tuple(name for name, value in vars(Now).items() if isinstance(value, cached_property))
 
 
 class Part(NamedTuple):

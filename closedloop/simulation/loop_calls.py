@@ -328,8 +328,7 @@ class Stepper:
         self._before: Any = values[:begin]
         self._batch: Any = values[begin:end]
         self._behind: Any = values[end:]
-        lasting = w.kept["contacts"].lasting if "contacts" in w.kept else ()
-        self._of_contacts: tuple[Any, ...] = tuple(memory.data.cast("B") for memory in lasting)
+        self._of_contacts: tuple[Any, ...] = tuple(each.data.cast("B") for each in self.loop.lasting_contacts)
         self._own = int(state.settings.general), int(state.law.entry), int(state.compensation.entry)
         self._torque: Any = w.torque.data
         make_ready(*([collide] if state.settings.unilateral or state.contacts.at else []), complete_record)

@@ -497,6 +497,11 @@ class Loop(NamedTuple):
         others = (block for name in ("loops", "perceived_loops", "contacts") for block in kept.get(name, ()))
         return [block.memory for block in (self.state, self.w, *others)]
 
+    @property
+    def lasting_contacts(self) -> tuple[NDArray[Any], ...]:
+        """Return what of the memory of the contacts of links outlives an evaluation; none without them."""
+        return self.w.kept["contacts"].lasting if "contacts" in self.w.kept else ()
+
 
 def make_loop(
     n: int, *, law: int = 0, compensation: int = 0, friction: int = 0, joint_friction: int = 0, compliance: int = 0,

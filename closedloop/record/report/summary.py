@@ -72,8 +72,9 @@ def contact_faults(run: Record) -> ContactFaults | None:
     if steps_impulses(run.scenario.time.integrator):  # whose forces go with the gaps at the step's end
         f, gaps = f[:-1], gaps[1:]
         # Two boxes touch in other points after a step, which are numbered anew: the nearest counts.
-        pair = np.array([k - (section.box.point if section.box else 0) for k, section in enumerate(sections)])
-        gaps = np.minimum.reduceat(gaps, np.unique(pair), axis=1)[:, np.unique(pair, return_inverse=True)[1]]
+        pair = [k - (section.box.point if section.box else 0) for k, section in enumerate(sections)]
+        firsts, at = np.unique(pair, return_inverse=True)
+        gaps = np.minimum.reduceat(gaps, firsts, axis=1)[:, at]
     missed = np.max(np.abs(f * gaps * ~soft), axis=0, initial=0.0)
     depth = np.max(np.where((f > 0.0) & ~soft, -gaps, 0.0), axis=0, initial=0.0)
     return ContactFaults(names_of(sections), np.max(np.maximum(outside, 0.0), axis=0), missed, depth)

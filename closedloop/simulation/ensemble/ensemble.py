@@ -47,8 +47,7 @@ class _One:
         batch, after = Work.place("batch", *sizes), Work.place("z", *sizes)
         assert isinstance(batch, slice)
         assert isinstance(after, slice)
-        memory = [self.loop.state.memory, w.memory[: batch.start], w.memory[after.start :]]
-        memory += self.loop.w.kept["contacts"].lasting if "contacts" in self.loop.w.kept else ()
+        memory = [self.loop.state.memory, w.memory[: batch.start], w.memory[after.start :], *self.loop.lasting_contacts]
         marks = [each.copy() for each in memory]
         reading = Work.place("sensing.measured", *sizes)
         assert isinstance(reading, int)

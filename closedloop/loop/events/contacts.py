@@ -63,6 +63,7 @@ def apply_contact_event(w: Work, constants: Constants, state: State, events: Arr
         state.status, links.chattering = OK, 2
     ask_contacts(state, PLACE)
     if state.striking >= 0:
+        state.event.modes = 0
         i = 3 * state.striking
         for j in range(3):
             w.impact.before[j] = c.u[i + j]
@@ -125,6 +126,7 @@ def follow_impulses(w: Work, links: ContactLinks, c: Contacts, state: State, eve
     log_contacts(w, links, c, state, events)
     for i in range(links.k):
         if c.event.struck[i] != 0.0:
+            state.event.modes -= 1 if state.event.rapid > 0 else 0
             call_law(state, RESTART)
             break
     links.undecided = 1

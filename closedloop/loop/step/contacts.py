@@ -60,12 +60,15 @@ from closedloop.mechanics.limits import (
     BREAKING_AWAY,
     CLOSED,
     HOVERING,
+    INSTANT,
+    ITERATIONS,
     MOST_OF,
     QUARTER,
     RESTING,
     STICK_SPEED,
     STILL,
     TENTH,
+    TIME_STEP_SPAN,
     TOUCHING,
     WEDGED,
 )
@@ -136,8 +139,10 @@ def contacts_in_step(address: int, what: int) -> int:
         advance_states(links, c, w.friction.span, w.z)
     else:
         place_contacts(links, c, w)
-        status = PAINLEVE
-        if links.chattering < 2:
+        status, left = PAINLEVE, state.row * constants.h - w.time
+        # Modes that change again and again in one step do not last: the rest of it is one step of impulses.
+        crowded = state.event.modes > ITERATIONS and left > INSTANT and state.settings.adaptive == 0
+        if links.chattering < 2 and not crowded:
             locate_joints(links, c, w, constants, state)
             status = decide(links, c, (3.0 if state.settings.adaptive != 0 else 1.0) * constants.stick_speed)
         if status == OK:
@@ -146,7 +151,7 @@ def contacts_in_step(address: int, what: int) -> int:
                 rest_on_feet(links, c)
         elif status == PAINLEVE and links.fresh == 0:
             status = OK
-            begin_time_step(links, c, w.time)
+            begin_time_step(links, c, w.time, left if crowded else TIME_STEP_SPAN, crowded)
         forget_joints(links, c)
         move(links, c, w)
         put_at_stops(links, c, w, constants)

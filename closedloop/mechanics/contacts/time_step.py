@@ -88,33 +88,36 @@ FOLLOWS, COMPLIANT = 1.0, 2.0
 
 
 @kernel
-def begin_time_step(links: ContactLinks, c: Contacts, time: float) -> None:
+def begin_time_step(
+    links: ContactLinks, c: Contacts, time: float, span: float = TIME_STEP_SPAN, crowded: bool = False
+) -> None:  # fmt: skip
     """Write the impulses of a tangential impact; or the forces of a step that begins at this time, s, and no impulse.
 
     The modes after it are written, too. After an impact they are to be sought: `at_once` is 1. Where that is in vain
-    only time steps follow, until there are modes again.
+    only time steps follow, until there are modes again. `span`: length of a step, s. `crowded`: whether there are modes,
+    which change too often: no tangential impact is tried then.
     """
     k = links.k
     take_kinetic(links, c)
     write_forms(links, c)
     write_before(c, k)
     c.step.in_vain = 1.0 if c.step.struck == time else c.step.in_vain
-    if c.step.in_vain == 0.0 and stop_at_once(links, c):
+    if not crowded and c.step.in_vain == 0.0 and stop_at_once(links, c):
         c.step.at_once, c.step.struck = 1.0, time
         return
     for r in range(3 * k):
-        c.problem.q[r], c.before[r] = c.before[r] + TIME_STEP_SPAN * c.a[r], c.u[r]
+        c.problem.q[r], c.before[r] = c.before[r] + span * c.a[r], c.u[r]
     for i in range(links.points + links.stops):  # a compliant one sinks in
         if c.soft[i] == 0.0 and c.problem.form[i] != OFF:
-            c.problem.q[3 * i] += TENTH * min(c.located[3 * i], 0.0) / TIME_STEP_SPAN
-    found = solve_impulses(links, c, TIME_STEP_SPAN, c.step.follows == COMPLIANT)
+            c.problem.q[3 * i] += TENTH * min(c.located[3 * i], 0.0) / span
+    found = solve_impulses(links, c, span, c.step.follows == COMPLIANT)
     c.step.follows = FOLLOWS if found else COMPLIANT
-    links.stepped, c.step.end = 1, time + TIME_STEP_SPAN
+    links.stepped, c.step.end = 1, time + span
     told = False
     for i in range(k):
         at = 3 * i
         for r in range(at, at + 3):
-            c.step.force[r] = c.F[r] / TIME_STEP_SPAN
+            c.step.force[r] = c.F[r] / span
         c.event.happened[i], c.friction.start_slip[i] = 0.0, 0.0
         if c.friction.pulls[i] != 0.0:
             continue

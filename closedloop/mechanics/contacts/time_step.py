@@ -94,8 +94,8 @@ def begin_time_step(
     """Write the impulses of a tangential impact; or the forces of a step that begins at this time, s, and no impulse.
 
     The modes after it are written, too. After an impact they are to be sought: `at_once` is 1. Where that is in vain
-    only time steps follow, until there are modes again. `span`: length of a step, s. `crowded`: whether there are modes,
-    which change too often: no tangential impact is tried then.
+    only time steps follow, until there are modes again. `span`: length of a step, s. `crowded`: whether there are modes
+    but change too often: no tangential impact is tried then.
     """
     k = links.k
     take_kinetic(links, c)

@@ -56,6 +56,8 @@ def apply_contact_event(w: Work, constants: Constants, state: State, events: Arr
         request_terms(state, AT_EVENT)
         return NEED_TERMS
     count_event(w, state)
+    if c.step.follows != 0.0 and state.event.rapid == 0:
+        state.event.instants -= 1  # a step of impulses ends there
     leave_edges(w, links, c, state, events)
     state.event.kind = 0
     links.stepped, links.chattering = 0, 1 if state.event.rapid > ITERATIONS else 0
@@ -63,7 +65,7 @@ def apply_contact_event(w: Work, constants: Constants, state: State, events: Arr
         state.status, links.chattering = OK, 2
     ask_contacts(state, PLACE)
     if state.striking >= 0:
-        state.event.modes = 0
+        state.event.instants = 0  # it may bounce as often as it will
         i = 3 * state.striking
         for j in range(3):
             w.impact.before[j] = c.u[i + j]
@@ -126,7 +128,6 @@ def follow_impulses(w: Work, links: ContactLinks, c: Contacts, state: State, eve
     log_contacts(w, links, c, state, events)
     for i in range(links.k):
         if c.event.struck[i] != 0.0:
-            state.event.modes -= 1 if state.event.rapid > 0 else 0
             call_law(state, RESTART)
             break
     links.undecided = 1

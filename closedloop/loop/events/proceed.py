@@ -291,7 +291,7 @@ def proceed(
                 return DONE
             state.row += 1
             state.event.in_step, state.after_event = max(state.event.in_step - OUTPACED, 0), 0
-            state.event.modes = 0
+            state.event.instants = 0
             w.length = constants.h
         if todo == RETRY_SUBSTEP and state.settings.hold > 0 and state.sampled != 0:
             for j in range(w.torque.shape[0]):

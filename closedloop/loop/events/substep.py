@@ -234,9 +234,9 @@ def resume_step(w: Work, constants: Constants, state: State) -> int:
 def count_event(w: Work, state: State) -> None:
     """Count an event of this step, and those in a row within `INSTANT` of each other."""
     state.event.in_step += 1
-    state.event.modes += 1
     if w.time - w.last_event > INSTANT:
         state.event.rapid = 0
+        state.event.instants += 1
     else:
         state.event.rapid += 1
     w.last_event = w.time

@@ -140,8 +140,8 @@ def contacts_in_step(address: int, what: int) -> int:
     else:
         place_contacts(links, c, w)
         status, left = PAINLEVE, state.row * constants.h - w.time
-        # Modes that change again and again in one step do not last: the rest of it is one step of impulses.
-        crowded = state.event.modes > ITERATIONS and left > INSTANT and state.settings.adaptive == 0
+        # Modes that end again and again in one step do not last: the rest of it is one step of impulses.
+        crowded = state.event.instants > ITERATIONS and left > INSTANT and state.settings.adaptive == 0
         if links.chattering < 2 and not crowded:
             locate_joints(links, c, w, constants, state)
             status = decide(links, c, (3.0 if state.settings.adaptive != 0 else 1.0) * constants.stick_speed)

@@ -298,7 +298,7 @@ class EventCount(Block):
     rows: int  # written of the table of events
     in_step: int  # less what rows took off, see `closedloop.loop.events.locate.OUTPACED`
     rapid: int  # events in a row within `INSTANT` of each other
-    modes: int  # in the step at which modes are sought, but for impacts that follow others at one instant
+    instants: int  # of events in the step, but for those at which a step of impulses ends
     kind: int  # of the event
 
 

@@ -7,6 +7,7 @@ import pytest
 from budget import others
 
 import closedloop as cl
+from closedloop.mechanics.limits import MAX_IN_STEP
 from robot_models import load
 from validation.speed.scenes import scenario_of
 
@@ -121,7 +122,7 @@ def test_a_block_is_lifted_by_joints_with_dry_friction():
 
 
 def test_modes_that_change_again_and_again_do_not_hold_up_a_step():
-    """Five dominoes that slide down on each other have fewer events in each step than are taken off the count.
+    """Five dominoes that slide down on each other have nowhere near as many events in a step as end the search.
 
     There were 1900 in one step, at which no mode changed: it took 18 s, and a later one more than a minute.
     """
@@ -131,4 +132,4 @@ def test_modes_that_change_again_and_again_do_not_hold_up_a_step():
     for _ in range(852):
         sim.step()
         most = max(most, int(events.in_step))
-    assert most == 0
+    assert most < MAX_IN_STEP / 4

@@ -30,14 +30,14 @@ from closedloop.loop.step.contacts import DECIDE, IMPULSE, PLACE
 from closedloop.loop.step.entries import RESTART
 from closedloop.loop.step.evaluate import call_law
 from closedloop.loop.step.memory import Constants, State, Work, ask_contacts
-from closedloop.mechanics.closure.contact_force import FREE, PRESSED
+from closedloop.mechanics.closure.contact_force import FREE, PRESSED, STUCK
 from closedloop.mechanics.closure.solve import OK
 from closedloop.mechanics.contacts.friction import stops_slipping
 from closedloop.mechanics.contacts.memory import ContactLinks, Contacts, contacts_at
 from closedloop.mechanics.contacts.modes import open_margin, touches
 from closedloop.mechanics.contacts.rolling import leave_seats
 from closedloop.mechanics.contacts.soft import stored_in
-from closedloop.mechanics.limits import ITERATIONS, OFF_SURFACE, STICK_SPEED, STILL, TOUCHING
+from closedloop.mechanics.limits import HOVERING, ITERATIONS, OFF_SURFACE, STICK_SPEED, STILL, TOUCHING
 
 
 @kernel
@@ -47,6 +47,9 @@ def apply_contact_event(w: Work, constants: Constants, state: State, events: Arr
     if state.event.rows + 3 * links.k > events.shape[0]:
         state.phase = AT_EVENT
         return ENLARGE_TABLE
+    if state.stepping.on != 0:
+        end_stepping(links, c, state)
+        return NEED_TERMS
     if state.coupled == 0:
         if pass_beside(links, c):
             join_tip(w, c, state)
@@ -56,8 +59,6 @@ def apply_contact_event(w: Work, constants: Constants, state: State, events: Arr
         request_terms(state, AT_EVENT)
         return NEED_TERMS
     count_event(w, state)
-    if c.step.follows != 0.0 and state.event.rapid == 0:
-        state.event.instants -= 1  # a step of impulses ends there
     leave_edges(w, links, c, state, events)
     state.event.kind = 0
     links.stepped, links.chattering = 0, 1 if state.event.rapid > ITERATIONS else 0
@@ -72,6 +73,20 @@ def apply_contact_event(w: Work, constants: Constants, state: State, events: Arr
         state.phase = IMPULSES_KNOWN
         return SOLVE_IMPACT
     return apply_contact_impulses(w, state, events)
+
+
+@kernel
+def end_stepping(links: ContactLinks, c: Contacts, state: State) -> None:
+    """Let modes be sought again, with the terms that are asked for, where none has changed for many steps."""
+    state.stepping.on, links.undecided, c.step.reach = 0, 1, HOVERING
+    for i in range(links.points + links.stops):
+        gap, own = c.located[3 * i], c.gaps.cleared[i] != 0.0
+        c.past_edge[i] = 1.0 if gap < 0.0 and not own else 0.0
+        c.gaps.cleared[i], c.gaps.floor[i] = 1.0 if gap > HOVERING else 0.0, min(gap, 0.0)
+        if c.mode[i] == STUCK:  # where, is to be found
+            c.mode[i] = PRESSED
+    state.past_edge = int(c.past_edge[0])
+    request_terms(state, AT_EVENT)
 
 
 @kernel
@@ -150,15 +165,15 @@ def resume_with_contacts(w: Work, constants: Constants, state: State, events: Ar
         started, links.undecided, links.fresh = links.fresh == 0, 0, 0
         state.mode = int(c.mode[0])
         w.friction.direction[0], w.friction.direction[1] = c.direction[0, 0], c.direction[0, 1]
-        if open_but_tip(links, c):
+        if state.stepping.on == 0 and open_but_tip(links, c):
             leave_tip(w, links, c, state)
-        elif started and off_surfaces(links, c):
+        elif state.stepping.on == 0 and started and off_surfaces(links, c):
             state.projection.moves, state.projection.next_phase = 0, AFTER_EVENT
             request_terms(state, PROJECTION)
             return NEED_TERMS
         request_terms(state, AFTER_EVENT)
         return NEED_TERMS
-    if w.contacts.margin < 0.0 or stopped_by_others(links, c):
+    if state.stepping.on == 0 and (w.contacts.margin < 0.0 or stopped_by_others(links, c)):
         return APPLY_EVENT
     return resume_step(w, constants, state)
 

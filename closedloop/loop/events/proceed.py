@@ -84,7 +84,16 @@ from closedloop.loop.step.entries import lead_motors
 from closedloop.loop.step.evaluate import evaluate, evaluate_law
 from closedloop.loop.step.joint_friction import stick_or_slip_joints
 from closedloop.loop.step.locate import back_to_true, locate_tip, off_anchor, read_joints
-from closedloop.loop.step.memory import RIGID_STICK, Constants, State, Work, ask_contacts, ask_loops
+from closedloop.loop.step.memory import (
+    RIGID_STICK,
+    Constants,
+    State,
+    Work,
+    ask_contacts,
+    ask_loops,
+    is_semi_implicit,
+    takes_one_stage,
+)
 from closedloop.loop.step.record_row import record
 from closedloop.mechanics.closure.contact_force import FREE, PRESSED, STUCK, answer_impulse, apply_impulse, stuck_force
 from closedloop.mechanics.closure.solve import OK
@@ -344,8 +353,8 @@ def proceed(
         todo = ADVANCE
     if todo == ADVANCE:
         stage, tau = state.stage, w.search.tau
-        semi_implicit, substep = state.settings.semi_implicit != 0, state.after_event != 0
-        add_stage_work(w, state, stage, tau, tableau[tableau.shape[0] - 1, stage])
+        semi_implicit, substep = is_semi_implicit(state), state.after_event != 0 and state.stepping.on == 0
+        add_stage_work(w, state, stage, tau, 1.0 if takes_one_stage(state) else tableau[tableau.shape[0] - 1, stage])
         if state.settings.general != 0 and semi_implicit:
             advance_friction(w, state, tau)
             if state.settings.elastic != 0:
@@ -356,7 +365,7 @@ def proceed(
             advance(stage, tau, semi_implicit, substep, tableau, w)
         else:
             advance_on_manifold(stage, tau, semi_implicit, substep, tableau, w, constants)
-        if state.settings.time_stepping != 0:
+        if state.stepping.on != 0:
             put_back(w, constants, state)
         if not semi_implicit:
             advance_decaying(stage, tau, tableau, w)

@@ -34,7 +34,7 @@ from closedloop.loop.step.contacts import ADVANCE_FRICTION, SAVE, force_over_loa
 from closedloop.loop.step.energy_supplied import save_power
 from closedloop.loop.step.evaluate import SPEED_LIMIT
 from closedloop.loop.step.joint_friction import advance_joint_friction
-from closedloop.loop.step.memory import SMOOTH, Constants, State, Work, ask_contacts
+from closedloop.loop.step.memory import SMOOTH, Constants, State, Work, ask_contacts, takes_one_stage
 from closedloop.loop.step.solve_contact import near_singular, remember_approach
 from closedloop.mechanics.closure.contact_force import FREE, PRESSED
 from closedloop.mechanics.closure.solve import CHATTER, CROWDED, DIVERGED, OK, RUBS
@@ -62,7 +62,7 @@ from closedloop.mechanics.robot.tree.layout import REVOLUTE, SLIDES
 def save_state(w: Work, constants: Constants, state: State) -> int:
     """Save the state and its derivative at the beginning of a substep of length w.length; return OK or DIVERGED."""
     n, extra = w.q.shape[0], w.z.shape[0]
-    divides = state.contacts.entry != 0 and state.settings.time_stepping == 0
+    divides = state.contacts.entry != 0 and state.stepping.on == 0
     if divides and not divide_step(w, constants, state):
         return DIVERGED
     for j in range(n):
@@ -138,7 +138,7 @@ def divide_step(w: Work, constants: Constants, state: State) -> bool:
 @kernel_inlined
 def nothing_earlier(state: State) -> bool:
     """Whether there is no instant before this one to search, or to end a step at."""
-    return bool(state.row == 0 or state.trial.off != 0)
+    return bool(state.row == 0 or state.trial.off != 0 or state.stepping.on != 0)
 
 
 @kernel
@@ -147,7 +147,7 @@ def begin_anew(w: Work, state: State, todo: int) -> int:
 
     Friction drives them without bound on the way to Painlevé's paradox: impulses have one.
     """
-    if state.coupled == 0 or nothing_earlier(state) or state.settings.stages == 1 or state.settings.adaptive != 0:
+    if state.coupled == 0 or nothing_earlier(state) or takes_one_stage(state) or state.settings.adaptive != 0:
         return todo
     links, c = contacts_at(state.contacts.at)
     if links.shapes != 0 or links.stepped != 0:  # rows of shapes change along a step, and their forces with them
@@ -196,7 +196,7 @@ def advance_friction(w: Work, state: State, h: float) -> None:
 def finish_stage(w: Work, h: float, state: State, tableau: Array) -> None:
     """Request the terms after a stage: those of the next stage, or of the substep's end."""
     stage, tau = state.stage, w.search.tau
-    if stage + 1 < state.settings.stages:
+    if not takes_one_stage(state) and stage + 1 < state.settings.stages:
         state.stage = stage + 1
         node = 0.0
         for i in range(stage + 1):
@@ -209,7 +209,7 @@ def finish_stage(w: Work, h: float, state: State, tableau: Array) -> None:
     else:
         w.time = state.row * h if state.divided == 0 else w.start.time + tau
         end = STEP_END if state.divided == 0 else PART_END
-        if state.settings.project != 0 and (state.mode != FREE or state.coupled != 0):
+        if state.settings.project != 0 and state.stepping.on == 0 and (state.mode != FREE or state.coupled != 0):
             state.projection.moves, state.projection.next_phase = 0, end
             request_terms(state, PROJECTION)
         else:

@@ -21,7 +21,7 @@ from closedloop.loop.step.contact_rows import (
     resolution,
 )
 from closedloop.loop.step.locate import set_anchor
-from closedloop.loop.step.memory import Constants, State, Work, loop_at
+from closedloop.loop.step.memory import Constants, State, Work, loop_at, takes_one_stage
 from closedloop.loop.step.tendons import add_along
 from closedloop.mechanics.closure.contact_force import FREE, PRESSED, STUCK, accelerate
 from closedloop.mechanics.closure.solve import LAW_FAILED, OK, PAINLEVE, back_substitute
@@ -53,7 +53,7 @@ from closedloop.mechanics.contacts.resistance import has_resistance, is_resistan
 from closedloop.mechanics.contacts.rolling import longest_roll, rest_on_feet, rim_margin, rolls, shapes_at
 from closedloop.mechanics.contacts.soft import let_friction_rise, soft_margin
 from closedloop.mechanics.contacts.stepping import begin_step, look_ahead
-from closedloop.mechanics.contacts.time_step import begin_time_step
+from closedloop.mechanics.contacts.time_step import TIME_STEP, begin_time_step
 from closedloop.mechanics.contacts.turning import stop_slips, turn_and_solve
 from closedloop.mechanics.impact import energy_lost
 from closedloop.mechanics.limits import (
@@ -68,7 +68,6 @@ from closedloop.mechanics.limits import (
     STICK_SPEED,
     STILL,
     TENTH,
-    TIME_STEP_SPAN,
     TOUCHING,
     WEDGED,
 )
@@ -97,8 +96,8 @@ def contacts_in_step(address: int, what: int) -> int:
     state, constants, w = loop_at(links.loop)
     status = OK
     if what == FORCE:
-        if state.settings.time_stepping != 0 and state.begins != 0:
-            look_ahead(c, links.k, constants.h, state.row == 0)
+        if state.stepping.on != 0 and state.begins != 0:
+            look_ahead(c, links.k, left_of_step(w, constants, state))
         status = locate_contacts(links, c, w, constants, state)
         if status == OK:
             status = contact_forces(links, c, w, constants, state)
@@ -111,7 +110,7 @@ def contacts_in_step(address: int, what: int) -> int:
         w.contacts.margin = c.margin
     elif what == SAVE:
         c.step.begun = 1.0 * links.stepped
-        if state.settings.time_stepping == 0:
+        if state.stepping.on == 0:
             save_contacts(links, c)
             w.start.force_over_load = force_over_load(links, c)
         if state.coupled != 0 and state.settings.unilateral != 0:
@@ -139,19 +138,21 @@ def contacts_in_step(address: int, what: int) -> int:
         advance_states(links, c, w.friction.span, w.z)
     else:
         place_contacts(links, c, w)
-        status, left = PAINLEVE, state.row * constants.h - w.time
-        # Modes that end again and again in one step do not last: the rest of it is one step of impulses.
-        crowded = state.event.instants > ITERATIONS and left > INSTANT and state.settings.adaptive == 0
+        status, fixed = PAINLEVE, state.settings.adaptive == 0
+        crowded = fixed and (state.event.instants > ITERATIONS or links.chattering == 2)
         if links.chattering < 2 and not crowded:
             locate_joints(links, c, w, constants, state)
             status = decide(links, c, (3.0 if state.settings.adaptive != 0 else 1.0) * constants.stick_speed)
         if status == OK:
-            c.step.in_vain = c.step.follows = 0.0
+            c.step.in_vain, c.step.follows, state.stepping.steady = 0.0, 0.0, 0
             if links.shapes != 0:
                 rest_on_feet(links, c)
         elif status == PAINLEVE and links.fresh == 0:
             status = OK
-            begin_time_step(links, c, w.time, left if crowded else TIME_STEP_SPAN, crowded)
+            if crowded or (fixed and state.stepping.steady != 0):
+                begin_stepping(links, c, state)
+            else:
+                begin_time_step(links, c, w.time)
         forget_joints(links, c)
         move(links, c, w)
         put_at_stops(links, c, w, constants)
@@ -162,6 +163,21 @@ def contacts_in_step(address: int, what: int) -> int:
         state.raised = 1
         return int(LAW_FAILED)
     return int(status)
+
+
+@kernel
+def begin_stepping(links: ContactLinks, c: Contacts, state: State) -> None:
+    """Let steps of impulses follow, the first to the end of this step, until modes stay: they do not last now."""
+    state.stepping.on, state.stepping.steady, state.divided, state.event.instants = 1, 0, 0, 0
+    c.step.gained = math.inf
+    c.step.follows, c.step.in_vain, told = 0.0, 0.0, False
+    for i in range(links.k):
+        closed = i < links.points + links.stops and c.mode[i] != FREE
+        c.gaps.cleared[i] = 1.0 - c.past_edge[i]
+        c.event.happened[i], told = TIME_STEP if closed and not told else 0.0, told or closed
+    c.event.energy_lost = c.event.energy_rested = 0.0
+    for r in range(3 * links.k):
+        c.F[r], c.before[r], c.problem.after[r] = 0.0, c.u[r], c.u[r]
 
 
 @kernel
@@ -220,8 +236,10 @@ def contact_forces(links: ContactLinks, c: Contacts, w: Work, constants: Constan
     n, k, status = links.n, links.k, OK
     if state.begins != 0:
         c.step.span = constants.h if links.shapes == 0 else min(constants.h, longest_roll(links, c))
-    if state.settings.time_stepping != 0:
-        status, c.margin = step_forces(links, c, w, constants, state), math.inf
+    if state.stepping.on != 0:
+        status = step_forces(links, c, w, constants, state)
+        ends = state.settings.time_stepping == 0 and state.stepping.steady > ITERATIONS
+        c.margin = -1.0 if ends else math.inf
     elif links.undecided != 0:
         for i in range(3 * k):
             c.F[i], c.rigid[i] = 0.0, 0.0
@@ -293,7 +311,7 @@ def contact_forces(links: ContactLinks, c: Contacts, w: Work, constants: Constan
             torque[j] += g0[j] * f + g1[j] * f1 + g2[j] * f2
             y[j] += x0[j] * f + x1[j] * f1 + x2[j] * f2
     accelerate(w.L, w.tip.X, w.y, w.tip.F, w.qdd, integers_at(state.addresses.group_ends, state.n))
-    for i in range(3, 3 * k if state.settings.stages == 1 else 0):
+    for i in range(3, 3 * k if takes_one_stage(state) else 0):
         if c.F[i] == 0.0:
             continue
         growth, row, (first, end) = c.drift[i] - c.turning[i], row_of(c.G, i), joints_of(c, i // 3)
@@ -304,6 +322,13 @@ def contact_forces(links: ContactLinks, c: Contacts, w: Work, constants: Constan
 
 
 @kernel
+def left_of_step(w: Work, constants: Constants, state: State) -> float:
+    """Return how long the step of impulses is that begins, s: what is left of a row's step, or the next row's."""
+    left = state.row * constants.h - w.time
+    return float(left if left > INSTANT else constants.h)
+
+
+@kernel
 def step_forces(links: ContactLinks, c: Contacts, w: Work, constants: Constants, state: State) -> int:
     """Write the forces of the step that begins, and what dry friction of joints then is; or again those under way."""
     if state.begins == 0:
@@ -311,7 +336,8 @@ def step_forces(links: ContactLinks, c: Contacts, w: Work, constants: Constants,
             c.F[i] = c.rigid[i] = c.step.force[i]
         return OK
     locate_joints(links, c, w, constants, state)
-    status = begin_step(links, c, w.y, constants.h, constants.rest_speed)
+    status, steady = begin_step(links, c, w.y, left_of_step(w, constants, state), constants.rest_speed)
+    state.stepping.steady = state.stepping.steady + 1 if steady else 0
     if c.step.shifts != 0.0:
         back_substitute(w.L, c.step.shift, 0, links.n)
     for i in range(links.joints, links.k):

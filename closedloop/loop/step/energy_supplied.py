@@ -18,7 +18,7 @@ With elastic joints the arm ends at the links: Q is then what they pass on to th
 """
 
 from closedloop.jit.kernel import kernel_inlined
-from closedloop.loop.step.memory import State, Work
+from closedloop.loop.step.memory import State, Work, takes_one_stage
 
 
 @kernel_inlined
@@ -57,7 +57,7 @@ def save_power(w: Work, state: State) -> None:
     """Save the power at the beginning of a substep, W, and its rate with the forces held constant, W/s."""
     w.supply.power = power(w, state)
     w.supply.power_rate = 0.0
-    if state.settings.stages == 1:
+    if takes_one_stage(state):
         growth = 0.0
         for i in range(3):
             growth += w.tip.F[i] * (w.tip.a[i] - w.tip.turning[i])  # N r̈ = u̇ − turning, u̇ = a + S F

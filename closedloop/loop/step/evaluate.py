@@ -22,7 +22,7 @@ from closedloop.loop.step.contacts import FRICTION_RATES
 from closedloop.loop.step.entries import START, TORQUE, desired_acceleration, motor_rates, reference_row, transmit
 from closedloop.loop.step.joint_friction import add_joint_friction, hold_joints, share_friction
 from closedloop.loop.step.locate import in_contact_frame, keep_terms, locate_tip, perceive, sensor_feels
-from closedloop.loop.step.memory import RIGID_STICK, Constants, State, Work, ask_contacts, ask_loops
+from closedloop.loop.step.memory import RIGID_STICK, Constants, State, Work, ask_contacts, ask_loops, is_semi_implicit
 from closedloop.loop.step.solve_contact import contact_force
 from closedloop.loop.step.tip_friction import surface_friction
 from closedloop.mechanics.closure.contact_force import FREE
@@ -79,7 +79,7 @@ def evaluate(H: Array, C: Array, w: Work, constants: Constants, state: State, ta
     if status != OK:
         return status
     if state.settings.general != 0:
-        holds = state.joint_friction.sticking == RIGID_STICK and state.settings.time_stepping == 0
+        holds = state.joint_friction.sticking == RIGID_STICK and state.stepping.on == 0
         if holds and hold_joints(w, constants, state):
             status = contact_force(C, w, constants, state)
             if status != OK:
@@ -133,7 +133,7 @@ def write_rates(w: Work, constants: Constants, state: State) -> None:
         sensor_rates(sensor_feels(axis, w, par, state), par, w.z[i : i + 1], w.dz[i : i + 1])
     for i in range(at, w.z.shape[0]):
         w.dz[i] = w.decays.rate[i] = 0.0  # with the semi-implicit scheme friction's states advance by themselves
-    if state.settings.semi_implicit == 0:
+    if not is_semi_implicit(state):
         if state.coupled != 0:
             ask_contacts(state, FRICTION_RATES)
         elif state.mode != FREE and state.friction.states > 0:

@@ -302,6 +302,13 @@ class EventCount(Block):
     kind: int  # of the event
 
 
+class Stepping(Block):
+    """Steps of impulses, see `closedloop.mechanics.contacts.stepping`."""
+
+    on: int  # 1 while each step is one: always with such an integrator, else where modes change too often in a step
+    steady: int  # steps in a row in which no contact's mode has changed
+
+
 class State(Block):
     """Whole numbers, int64: the settings of the run, and the state of the loop."""
 
@@ -326,6 +333,7 @@ class State(Block):
     proceed: int  # address of the entry of `closedloop.loop.events.proceed`, for the compiled engine
     # State of the loop; constants in `closedloop.loop.events.locate`.
     phase: int  # what the terms requested last are for
+    stepping: Stepping
     begins: int  # 1 if a substep may begin at the state that is evaluated
     query: int  # what for, in the phase QUERY, see `closedloop.loop.events.proceed`
     row: int  # the next to be recorded
@@ -464,6 +472,18 @@ def ask_contacts(state: State, what: int) -> int:
     if state.contacts.entry == 0:
         return OK
     return call_at(state.contacts.entry, state.contacts.at, what)
+
+
+@kernel_inlined
+def takes_one_stage(state: State) -> bool:
+    """Whether a step has one stage: of the scheme, or because it is one of impulses."""
+    return bool(state.settings.stages == 1 or state.stepping.on != 0)
+
+
+@kernel_inlined
+def is_semi_implicit(state: State) -> bool:
+    """Whether the position advances with the new velocity: by the scheme, or in a step of impulses."""
+    return bool(state.settings.semi_implicit != 0 or state.stepping.on != 0)
 
 
 @kernel_inlined

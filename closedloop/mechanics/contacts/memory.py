@@ -122,7 +122,7 @@ class TimeStep(Block, sizes=("n", "k")):
     within: float  # the same of the substep under way
     force: Annotated[Array, 3 * K]  # N
     reach: float  # m, within which contacts are near
-    gained: float  # the largest that smooth forces add, in the last step in which a contact took part, m/s
+    gained: float  # the largest that smooth forces add, in the last step in which a contact took part, m/s; not known: inf
     struck: float  # when the last tangential impact was, s
     in_vain: float  # 1 if there were no modes after it; 0 again likewise
     at_once: float  # 1 while its impulses have just been written
@@ -331,6 +331,6 @@ def make_contact_memory(
     links.rows = 0 if rows is None else rows.address
     contacts.moves.end[:], contacts.moves.upto[:], contacts.moves.dry[:] = n, n, 1.0 if joints > 0 else 0.0
     contacts.direction[:, 0], contacts.near[:], contacts.inside[:] = 1.0, 1.0, np.inf
-    contacts.step.reach, contacts.gaps.extent[:] = HOVERING, np.inf
+    contacts.step.reach, contacts.step.gained, contacts.gaps.extent[:] = HOVERING, np.inf, np.inf
     links.keep_alive(rows=rows)
     return ContactMemory(links, contacts)

@@ -47,7 +47,7 @@ from closedloop.mechanics.limits import FOUND, HALVINGS, HOVERING, SLIGHT, STICK
 
 
 @kernel
-def look_ahead(c: Contacts, k: int, h: float, first: bool) -> None:
+def look_ahead(c: Contacts, k: int, h: float) -> None:
     """Write the gap within which contacts take part in a step of h, s, by the velocities of the step before.
 
     Two contacts may come towards each other. In the first step there are no velocities yet, and all take part.
@@ -55,12 +55,14 @@ def look_ahead(c: Contacts, k: int, h: float, first: bool) -> None:
     fastest = 0.0
     for i in range(3 * k):
         fastest = max(fastest, abs(c.u[i]))
-    c.step.reach = math.inf if first else HOVERING + 2.0 * h * (fastest + c.step.gained)
+    c.step.reach = HOVERING + 2.0 * h * (fastest + c.step.gained)
 
 
 @kernel
-def begin_step(links: ContactLinks, c: Contacts, load: Array, h: float, rest_speed: float) -> int:
-    """Write F = P/h of a step of h, s, and the modes that it means; return OK, or PAINLEVE if none were found.
+def begin_step(links: ContactLinks, c: Contacts, load: Array, h: float, rest_speed: float) -> tuple[int, bool]:
+    """Write F = P/h of a step of h, s, and the modes that it means.
+
+    Returns OK, or PAINLEVE if none were found, and whether all modes are as they were.
 
     `load` (n,): L⁻¹(Q − C), less what loops bind.
     `rest_speed`: below which contacts without one of their own do not rebound, m/s.
@@ -76,12 +78,14 @@ def begin_step(links: ContactLinks, c: Contacts, load: Array, h: float, rest_spe
     if not found or is_wedged(s, a):
         write_problem(links, c, load, h, rest_speed, 0.0)
         if not solve_softly(s, a, n):
-            return PAINLEVE
+            return PAINLEVE, False
+    steady = True
     for i in range(links.k):
         at, pressed = int(s.packed_at[i]), 0.0
         for r in range(3):
             f = s.P[3 * at + r] / h if at >= 0 else 0.0
             c.F[3 * i + r] = c.rigid[3 * i + r] = c.step.force[3 * i + r] = f
+        before = c.mode[i]
         if c.friction.pulls[i] == 0.0:
             c.mode[i] = FREE
         if at >= 0:
@@ -89,8 +93,9 @@ def begin_step(links: ContactLinks, c: Contacts, load: Array, h: float, rest_spe
         if pressed > 0.0:
             held = math.hypot(s.P[3 * at + 1], s.P[3 * at + 2]) < INSIDE * s.mu[at] * pressed
             c.mode[i] = STUCK if held else PRESSED
+        steady = steady and c.mode[i] == before
     put_back(links, c, a, h)
-    return OK
+    return OK, steady
 
 
 @kernel

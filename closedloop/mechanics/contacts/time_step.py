@@ -88,21 +88,18 @@ FOLLOWS, COMPLIANT = 1.0, 2.0
 
 
 @kernel
-def begin_time_step(
-    links: ContactLinks, c: Contacts, time: float, span: float = TIME_STEP_SPAN, crowded: bool = False
-) -> None:  # fmt: skip
+def begin_time_step(links: ContactLinks, c: Contacts, time: float) -> None:
     """Write the impulses of a tangential impact; or the forces of a step that begins at this time, s, and no impulse.
 
     The modes after it are written, too. After an impact they are to be sought: `at_once` is 1. Where that is in vain
-    only time steps follow, until there are modes again. `span`: length of a step, s. `crowded`: whether there are modes
-    but change too often: no tangential impact is tried then.
+    only time steps follow, until there are modes again.
     """
-    k = links.k
+    k, span = links.k, TIME_STEP_SPAN
     take_kinetic(links, c)
     write_forms(links, c)
     write_before(c, k)
     c.step.in_vain = 1.0 if c.step.struck == time else c.step.in_vain
-    if not crowded and c.step.in_vain == 0.0 and stop_at_once(links, c):
+    if c.step.in_vain == 0.0 and stop_at_once(links, c):
         c.step.at_once, c.step.struck = 1.0, time
         return
     for r in range(3 * k):

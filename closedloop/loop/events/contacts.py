@@ -59,6 +59,8 @@ def apply_contact_event(w: Work, constants: Constants, state: State, events: Arr
         request_terms(state, AT_EVENT)
         return NEED_TERMS
     count_event(w, state)
+    if c.step.follows != 0.0 and state.event.rapid == 0:
+        state.event.instants -= 1  # a step of impulses ends there
     leave_edges(w, links, c, state, events)
     state.event.kind = 0
     links.stepped, links.chattering = 0, 1 if state.event.rapid > ITERATIONS else 0

@@ -62,6 +62,7 @@ from closedloop.mechanics.limits import (
     HOVERING,
     INSTANT,
     ITERATIONS,
+    MAX_IN_STEP,
     MOST_OF,
     QUARTER,
     RESTING,
@@ -139,7 +140,7 @@ def contacts_in_step(address: int, what: int) -> int:
     else:
         place_contacts(links, c, w)
         status, fixed = PAINLEVE, state.settings.adaptive == 0
-        crowded = fixed and (state.event.instants > ITERATIONS or links.chattering == 2)
+        crowded = fixed and (state.event.instants > ITERATIONS or state.event.in_step > MAX_IN_STEP)
         if links.chattering < 2 and not crowded:
             locate_joints(links, c, w, constants, state)
             status = decide(links, c, (3.0 if state.settings.adaptive != 0 else 1.0) * constants.stick_speed)

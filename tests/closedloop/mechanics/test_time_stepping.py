@@ -56,7 +56,7 @@ def one_step(X, v, e, mu=0.0, gap=0.0, load=0.0, h=1e-3):
     k, n = len(X) // 3, X.shape[1]
     links, c = make_contact_memory(n, k)
     c.X[:], c.u[:], c.mu[:], c.restitution[:], c.inside[:], c.located[::3] = X, X @ v, mu, e, 1.0, gap
-    assert interpreted(begin_step)(links, c, load + np.zeros(n), h, 1e-6) == OK
+    assert interpreted(begin_step)(links, c, load + np.zeros(n), h, 1e-6)[0] == OK
     return v + h * (load + X.T @ c.F), h * c.F[::3], c.step.shift
 
 

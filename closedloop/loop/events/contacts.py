@@ -59,8 +59,8 @@ def apply_contact_event(w: Work, constants: Constants, state: State, events: Arr
         request_terms(state, AT_EVENT)
         return NEED_TERMS
     count_event(w, state)
-    if c.step.follows != 0.0 and state.event.rapid == 0:
-        state.event.instants -= 1  # a step of impulses ends there
+    if c.step.follows != 0.0 and state.event.rapid == 0 and links.chattering < 2:
+        state.event.instants -= 1  # a step of impulses ends there, which was taken since there are no modes
     leave_edges(w, links, c, state, events)
     state.event.kind = 0
     links.stepped, links.chattering = 0, 1 if state.event.rapid > ITERATIONS else 0
@@ -164,6 +164,8 @@ def resume_with_contacts(w: Work, constants: Constants, state: State, events: Ar
             c.step.at_once, state.striking = 0.0, -1
             return follow_impulses(w, links, c, state, events)
         log_contacts(w, links, c, state, events)
+        if modes_come_again(links, c, state):
+            state.event.rapid += ITERATIONS
         started, links.undecided, links.fresh = links.fresh == 0, 0, 0
         state.mode = int(c.mode[0])
         w.friction.direction[0], w.friction.direction[1] = c.direction[0, 0], c.direction[0, 1]
@@ -178,6 +180,20 @@ def resume_with_contacts(w: Work, constants: Constants, state: State, events: Ar
     if state.stepping.on == 0 and (w.contacts.margin < 0.0 or stopped_by_others(links, c)):
         return APPLY_EVENT
     return resume_step(w, constants, state)
+
+
+@kernel
+def modes_come_again(links: ContactLinks, c: Contacts, state: State) -> bool:
+    """Whether modes that do not last have been found at this instant before, one or two searches ago; note them."""
+    modes = 1
+    for i in range(links.joints):
+        modes = 31 * modes + int(c.mode[i])
+        if c.event.struck[i] != 0.0:
+            modes, state.event.modes = 0, 0
+            break
+    again = state.event.rapid > 0 and modes != 0 and modes in (state.event.modes, state.event.modes_before)
+    state.event.modes_before, state.event.modes = state.event.modes, modes
+    return bool(again)
 
 
 @kernel

@@ -112,6 +112,7 @@ def contacts_in_step(address: int, what: int) -> int:
     elif what == SAVE:
         c.step.begun = 1.0 * links.stepped
         if state.stepping.on == 0:
+            state.stepping.steady = 0
             save_contacts(links, c)
             w.start.force_over_load = force_over_load(links, c)
         if state.coupled != 0 and state.settings.unilateral != 0:
@@ -145,7 +146,7 @@ def contacts_in_step(address: int, what: int) -> int:
             locate_joints(links, c, w, constants, state)
             status = decide(links, c, (3.0 if state.settings.adaptive != 0 else 1.0) * constants.stick_speed)
         if status == OK:
-            c.step.in_vain, c.step.follows, state.stepping.steady = 0.0, 0.0, 0
+            c.step.in_vain = c.step.follows = 0.0
             if links.shapes != 0:
                 rest_on_feet(links, c)
         elif status == PAINLEVE and links.fresh == 0:

@@ -300,6 +300,8 @@ class EventCount(Block):
     rapid: int  # events in a row within `INSTANT` of each other
     instants: int  # of events in the step, but for those at which a step of impulses ends
     kind: int  # of the event
+    modes: int  # of all contacts, as one number, as they were found last; 0 after an impact
+    modes_before: int  # and before that
 
 
 class Stepping(Block):

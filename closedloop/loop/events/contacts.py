@@ -47,7 +47,7 @@ def apply_contact_event(w: Work, constants: Constants, state: State, events: Arr
     if state.event.rows + 3 * links.k > events.shape[0]:
         state.phase = AT_EVENT
         return ENLARGE_TABLE
-    if state.stepping.on != 0:
+    if state.event.stepping != 0:
         end_stepping(links, c, state)
         return NEED_TERMS
     if state.coupled == 0:
@@ -80,7 +80,7 @@ def apply_contact_event(w: Work, constants: Constants, state: State, events: Arr
 @kernel
 def end_stepping(links: ContactLinks, c: Contacts, state: State) -> None:
     """Let modes be sought again, with the terms that are asked for, where none has changed for many steps."""
-    state.stepping.on, links.undecided, c.step.reach = 0, 1, HOVERING
+    state.event.stepping, links.undecided, c.step.reach = 0, 1, HOVERING
     for i in range(links.points + links.stops):
         gap, own = c.located[3 * i], c.gaps.cleared[i] != 0.0
         c.past_edge[i] = 1.0 if gap < 0.0 and not own else 0.0
@@ -169,15 +169,15 @@ def resume_with_contacts(w: Work, constants: Constants, state: State, events: Ar
         started, links.undecided, links.fresh = links.fresh == 0, 0, 0
         state.mode = int(c.mode[0])
         w.friction.direction[0], w.friction.direction[1] = c.direction[0, 0], c.direction[0, 1]
-        if state.stepping.on == 0 and open_but_tip(links, c):
+        if state.event.stepping == 0 and open_but_tip(links, c):
             leave_tip(w, links, c, state)
-        elif state.stepping.on == 0 and started and off_surfaces(links, c):
+        elif state.event.stepping == 0 and started and off_surfaces(links, c):
             state.projection.moves, state.projection.next_phase = 0, AFTER_EVENT
             request_terms(state, PROJECTION)
             return NEED_TERMS
         request_terms(state, AFTER_EVENT)
         return NEED_TERMS
-    if state.stepping.on == 0 and (w.contacts.margin < 0.0 or stopped_by_others(links, c)):
+    if state.event.stepping == 0 and (w.contacts.margin < 0.0 or stopped_by_others(links, c)):
         return APPLY_EVENT
     return resume_step(w, constants, state)
 

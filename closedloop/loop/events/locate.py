@@ -156,13 +156,17 @@ def refine_bracket(w: Work, state: State) -> int:
         w.search.low, w.search.at_low = tau, value
     else:
         w.search.replaced, w.search.at_replaced = w.search.high, w.search.at_high
-        w.search.high, w.search.at_high = tau, value
+        w.search.high, w.search.at_high, w.search.least_to_high = tau, value, w.search.least
     if w.search.high - w.search.low > max(INSTANT, 4e-16 * w.time):
         choose_trial(w, state)
     elif state.trial.purpose == LOCATE_MINIMUM or w.search.high == w.length:
         # There is no event in the step, or it is at the row itself: the step is valid.
         state.trial.purpose, state.trial.off = NO_TRIAL, 1
         w.search.tau = w.length
+    elif w.search.least_to_high < -SMALL and w.search.low > INSTANT and not has_derivatives(tau):
+        # What the event begins with acts at stages before it: a part of the step ends just before, a short one there.
+        state.trial.purpose, state.divided = NO_TRIAL, 1
+        w.search.tau = w.length = w.search.low
     else:
         # An impact is applied just before penetration, every other event just after its mode has ended.
         state.trial.purpose = REACH_EVENT

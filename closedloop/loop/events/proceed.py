@@ -308,6 +308,8 @@ def proceed(
     elif phase == STAGE:
         if has_derivatives(w.time) and state.trial.settling != 0:
             note_stage(w, constants, state)
+        if state.coupled != 0 and w.contacts.margin > NO_FORCES:
+            w.search.least = min(w.search.least, w.contacts.margin)
         todo = check_stage(w, state) if state.settings.unilateral != 0 else ADVANCE
         if state.coupled != 0 and w.contacts.margin <= NO_FORCES:
             todo = end_before_stage(w, state)
@@ -353,7 +355,7 @@ def proceed(
         todo = ADVANCE
     if todo == ADVANCE:
         stage, tau = state.stage, w.search.tau
-        semi_implicit, substep = is_semi_implicit(state), state.after_event != 0 and state.stepping.on == 0
+        semi_implicit, substep = is_semi_implicit(state), state.after_event != 0 and state.event.stepping == 0
         add_stage_work(w, state, stage, tau, 1.0 if takes_one_stage(state) else tableau[tableau.shape[0] - 1, stage])
         if state.settings.general != 0 and semi_implicit:
             advance_friction(w, state, tau)
@@ -365,7 +367,7 @@ def proceed(
             advance(stage, tau, semi_implicit, substep, tableau, w)
         else:
             advance_on_manifold(stage, tau, semi_implicit, substep, tableau, w, constants)
-        if state.stepping.on != 0:
+        if state.event.stepping != 0:
             put_back(w, constants, state)
         if not semi_implicit:
             advance_decaying(stage, tau, tableau, w)

@@ -62,7 +62,7 @@ from closedloop.mechanics.robot.tree.layout import REVOLUTE, SLIDES
 def save_state(w: Work, constants: Constants, state: State) -> int:
     """Save the state and its derivative at the beginning of a substep of length w.length; return OK or DIVERGED."""
     n, extra = w.q.shape[0], w.z.shape[0]
-    divides = state.contacts.entry != 0 and state.stepping.on == 0
+    divides = state.contacts.entry != 0 and state.event.stepping == 0
     if divides and not divide_step(w, constants, state):
         return DIVERGED
     for j in range(n):
@@ -74,7 +74,7 @@ def save_state(w: Work, constants: Constants, state: State) -> int:
         w.start.state[2 * n + j] = w.z[j]
         w.start.slope[n + j] = w.dz[j]
         w.decays.begin[j] = w.decays.rate[j]
-    w.start.time, w.search.tau = w.time, w.length
+    w.start.time, w.search.tau, w.search.least = w.time, w.length, np.inf
     w.start.gap, w.start.rate, w.start.contact_margin = w.tip.gap, w.tip.rate, w.contacts.margin
     state.trial.purpose, state.stage, state.trial.off, state.trial.watched = NO_TRIAL, 0, 0, 0
     if state.friction.sticking != SMOOTH:
@@ -138,7 +138,7 @@ def divide_step(w: Work, constants: Constants, state: State) -> bool:
 @kernel_inlined
 def nothing_earlier(state: State) -> bool:
     """Whether there is no instant before this one to search, or to end a step at."""
-    return bool(state.row == 0 or state.trial.off != 0 or state.stepping.on != 0)
+    return bool(state.row == 0 or state.trial.off != 0 or state.event.stepping != 0)
 
 
 @kernel
@@ -177,7 +177,7 @@ def restore_state(w: Work, state: State) -> None:
         w.z[j] = w.start.state[2 * n + j]
         w.dz[j] = w.start.slope[n + j]
         w.decays.rate[j] = w.decays.begin[j]
-    state.stage = 0
+    state.stage, w.search.least = 0, np.inf
 
 
 @kernel
@@ -209,7 +209,7 @@ def finish_stage(w: Work, h: float, state: State, tableau: Array) -> None:
     else:
         w.time = state.row * h if state.divided == 0 else w.start.time + tau
         end = STEP_END if state.divided == 0 else PART_END
-        if state.settings.project != 0 and state.stepping.on == 0 and (state.mode != FREE or state.coupled != 0):
+        if state.settings.project != 0 and state.event.stepping == 0 and (state.mode != FREE or state.coupled != 0):
             state.projection.moves, state.projection.next_phase = 0, end
             request_terms(state, PROJECTION)
         else:
@@ -288,7 +288,7 @@ def end_before_stage(w: Work, state: State) -> int:
         w.search.value = -1.0
         return int(refine_bracket(w, state))
     state.trial.purpose, state.trial.steps = LOCATE_EVENT, 0
-    w.search.low, w.search.high = 0.0, w.search.tau - INSTANT
+    w.search.low, w.search.high, w.search.least_to_high = 0.0, w.search.tau - INSTANT, np.inf
     w.search.at_low, w.search.at_high = max(w.start.value, 0.0), -1.0
     choose_trial(w, state)
     return RETRY_SUBSTEP
@@ -326,7 +326,7 @@ def check_step(w: Work, drift: float, state: State) -> int:
     if trial == REACH_EVENT:
         return APPLY_EVENT
     state.trial.steps = 0
-    w.search.low, w.search.high = 0.0, w.length
+    w.search.low, w.search.high, w.search.least_to_high = 0.0, w.length, w.search.least
     if trial == LOCATE_MINIMUM:
         w.search.at_low, w.search.at_high = -w.start.rate, -w.tip.rate
     else:

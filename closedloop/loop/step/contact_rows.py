@@ -68,7 +68,7 @@ def locate_contacts(links: ContactLinks, c: Contacts, w: Work, constants: Consta
         if takes_part or c.near[i] != 0.0:
             write_mobility_rows(c, i, takes_part, w, state)
         c.near[i] = 1.0 if takes_part else 0.0
-    if state.stepping.on == 0:
+    if state.event.stepping == 0:
         own_mobilities(c, links.joints)
     for i in range(links.joints):
         for j in range(3 * i, 3 * i + 3 if c.near[i] != 0.0 else 0):
@@ -81,7 +81,7 @@ def locate_contacts(links: ContactLinks, c: Contacts, w: Work, constants: Consta
             c.b[j] = baumgarte_acceleration(constants.s_v, constants.s_p, c.u[j], off)
     take_states(links, c, w.z)
     write_delayed(c, w.time, constants.h, state.row - 1)
-    if state.stepping.on == 0:
+    if state.event.stepping == 0:
         write_soft_forces(links, c)
     return int(OK)
 
@@ -109,7 +109,7 @@ def locate_points(links: ContactLinks, c: Contacts, w: Work, constants: Constant
             write_edge_rows(joints, rows, shapes_at(links.shapes), c, i)
         else:
             take_rows(links, c, rows, i)
-            foot = links.shapes != 0 and c.mode[i] == FREE and state.stepping.on == 0
+            foot = links.shapes != 0 and c.mode[i] == FREE and state.event.stepping == 0
             if foot and is_idle(shapes_at(links.shapes), c, i, resolution(constants, state)):
                 c.located[3 * i] = APART
     for i in range(1, links.points if links.surfaces != 0 else 0):
@@ -347,7 +347,7 @@ def locate_joints(links: ContactLinks, c: Contacts, w: Work, constants: Constant
             c.a[at + 1] += c.X[at + 1, m] * c.problem.pushed[m]
             c.size[at + 1] += abs(c.X[at + 1, m] * c.load[m])
         c.problem.known[i] = w.joint_friction.limit[i - first]
-    if state.stepping.on != 0:
+    if state.event.stepping != 0:
         for i in range(first, links.k):
             c.u[3 * i + 1] = rate_along(constants, i - first, w.v)
     else:

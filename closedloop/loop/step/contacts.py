@@ -97,7 +97,7 @@ def contacts_in_step(address: int, what: int) -> int:
     state, constants, w = loop_at(links.loop)
     status = OK
     if what == FORCE:
-        if state.stepping.on != 0 and state.begins != 0:
+        if state.event.stepping != 0 and state.begins != 0:
             look_ahead(c, links.k, left_of_step(w, constants, state))
         status = locate_contacts(links, c, w, constants, state)
         if status == OK:
@@ -111,8 +111,8 @@ def contacts_in_step(address: int, what: int) -> int:
         w.contacts.margin = c.margin
     elif what == SAVE:
         c.step.begun = 1.0 * links.stepped
-        if state.stepping.on == 0:
-            state.stepping.steady = 0
+        if state.event.stepping == 0:
+            state.event.steady = 0
             save_contacts(links, c)
             w.start.force_over_load = force_over_load(links, c)
         if state.coupled != 0 and state.settings.unilateral != 0:
@@ -151,7 +151,7 @@ def contacts_in_step(address: int, what: int) -> int:
                 rest_on_feet(links, c)
         elif status == PAINLEVE and links.fresh == 0:
             status = OK
-            if crowded or (fixed and state.stepping.steady != 0):
+            if crowded or (fixed and state.event.steady != 0):
                 begin_stepping(links, c, state)
             else:
                 begin_time_step(links, c, w.time)
@@ -170,7 +170,7 @@ def contacts_in_step(address: int, what: int) -> int:
 @kernel
 def begin_stepping(links: ContactLinks, c: Contacts, state: State) -> None:
     """Let steps of impulses follow, the first to the end of this step, until modes stay: they do not last now."""
-    state.stepping.on, state.stepping.steady, state.divided, state.event.instants = 1, 0, 0, 0
+    state.event.stepping, state.event.steady, state.divided, state.event.instants = 1, 0, 0, 0
     c.step.gained = math.inf
     c.step.follows, c.step.in_vain, told = 0.0, 0.0, False
     for i in range(links.k):
@@ -238,9 +238,9 @@ def contact_forces(links: ContactLinks, c: Contacts, w: Work, constants: Constan
     n, k, status = links.n, links.k, OK
     if state.begins != 0:
         c.step.span = constants.h if links.shapes == 0 else min(constants.h, longest_roll(links, c))
-    if state.stepping.on != 0:
+    if state.event.stepping != 0:
         status = step_forces(links, c, w, constants, state)
-        ends = state.settings.time_stepping == 0 and state.stepping.steady > ITERATIONS
+        ends = state.settings.time_stepping == 0 and state.event.steady > ITERATIONS
         c.margin = -1.0 if ends else math.inf
     elif links.undecided != 0:
         for i in range(3 * k):
@@ -339,7 +339,7 @@ def step_forces(links: ContactLinks, c: Contacts, w: Work, constants: Constants,
         return OK
     locate_joints(links, c, w, constants, state)
     status, steady = begin_step(links, c, w.y, left_of_step(w, constants, state), constants.rest_speed)
-    state.stepping.steady = state.stepping.steady + 1 if steady else 0
+    state.event.steady = state.event.steady + 1 if steady else 0
     if c.step.shifts != 0.0:
         back_substitute(w.L, c.step.shift, 0, links.n)
     for i in range(links.joints, links.k):

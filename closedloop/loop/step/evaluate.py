@@ -79,7 +79,7 @@ def evaluate(H: Array, C: Array, w: Work, constants: Constants, state: State, ta
     if status != OK:
         return status
     if state.settings.general != 0:
-        holds = state.joint_friction.sticking == RIGID_STICK and state.stepping.on == 0
+        holds = state.joint_friction.sticking == RIGID_STICK and state.event.stepping == 0
         if holds and hold_joints(w, constants, state):
             status = contact_force(C, w, constants, state)
             if status != OK:

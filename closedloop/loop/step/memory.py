@@ -37,6 +37,8 @@ class Search(Block):
     at_low: float
     at_stage: float  # of dual numbers: the least event function at the stages of a step to the instant found
     at_high: float
+    least: float  # margin of the contacts at the stages of the trial substep, and of that to the high end
+    least_to_high: float
     replaced: float  # the end that the latest trial has replaced, and the value there
     at_replaced: float
     value: float  # of the event function
@@ -300,15 +302,10 @@ class EventCount(Block):
     rapid: int  # events in a row within `INSTANT` of each other
     instants: int  # of events in the step, but for those at which a step of impulses ends
     kind: int  # of the event
+    stepping: int  # 1 while there are none, and each step is one problem of impulses, see `Settings.time_stepping`
+    steady: int  # such steps in a row in which no contact's mode has changed
     modes: int  # of all contacts, as one number, as they were found last; 0 after an impact
     modes_before: int  # and before that
-
-
-class Stepping(Block):
-    """Steps of impulses, see `closedloop.mechanics.contacts.stepping`."""
-
-    on: int  # 1 while each step is one: always with such an integrator, else where modes change too often in a step
-    steady: int  # steps in a row in which no contact's mode has changed
 
 
 class State(Block):
@@ -335,7 +332,6 @@ class State(Block):
     proceed: int  # address of the entry of `closedloop.loop.events.proceed`, for the compiled engine
     # State of the loop; constants in `closedloop.loop.events.locate`.
     phase: int  # what the terms requested last are for
-    stepping: Stepping
     begins: int  # 1 if a substep may begin at the state that is evaluated
     query: int  # what for, in the phase QUERY, see `closedloop.loop.events.proceed`
     row: int  # the next to be recorded
@@ -479,13 +475,13 @@ def ask_contacts(state: State, what: int) -> int:
 @kernel_inlined
 def takes_one_stage(state: State) -> bool:
     """Whether a step has one stage: of the scheme, or because it is one of impulses."""
-    return bool(state.settings.stages == 1 or state.stepping.on != 0)
+    return bool(state.settings.stages == 1 or state.event.stepping != 0)
 
 
 @kernel_inlined
 def is_semi_implicit(state: State) -> bool:
     """Whether the position advances with the new velocity: by the scheme, or in a step of impulses."""
-    return bool(state.settings.semi_implicit != 0 or state.stepping.on != 0)
+    return bool(state.settings.semi_implicit != 0 or state.event.stepping != 0)
 
 
 @kernel_inlined

@@ -130,7 +130,7 @@ def write_settings(problem: "Problem", state: State) -> None:
         setattr(to, name, value)
     to.steps, to.hold, to.nodes_per_step, to.general = problem.steps, problem.hold, problem.nodes, problem.general
     to.project, to.semi_implicit = problem.project, problem.integrator.semi_implicit
-    to.time_stepping = state.stepping.on = int(problem.integrator.time_stepping)
+    to.time_stepping = state.event.stepping = int(problem.integrator.time_stepping)
     state.friction.sticking, state.joint_friction.sticking = problem.shape.sticking
     state.sensor.axes, state.sensor.states, _, state.sensor.sampled = problem.shape.sensor
     states = problem.row_states if state.law_states > 0 else 0  # a user's function in place of the law has none

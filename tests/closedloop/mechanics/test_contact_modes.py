@@ -253,8 +253,8 @@ def test_each_contact_to_which_something_happened_has_its_row(struck):
 def test_an_event_waits_for_room_in_the_table():
     """Three rows for each contact; and where modes are known, one that does not last is an event."""
     links, _ = make_contact_memory(2, 2)
-    at, count = SimpleNamespace(at=links.address), SimpleNamespace(rows=7)
-    state = SimpleNamespace(contacts=at, event=count, stepping=SimpleNamespace(on=0), phase=-1)
+    at, count = SimpleNamespace(at=links.address), SimpleNamespace(rows=7, stepping=0)
+    state = SimpleNamespace(contacts=at, event=count, phase=-1)
     assert interpreted(apply_contact_event)(None, None, state, np.zeros((10, EVENT_WIDTH))) == ENLARGE_TABLE
     assert state.phase == AT_EVENT
     decided = interpreted(resume_with_contacts)

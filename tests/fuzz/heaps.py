@@ -1,6 +1,6 @@
-"""Boxes, balls and cylinders dropped on each other and a floor, by time stepping: whether they come to rest.
+"""Boxes, balls and cylinders dropped on each other and a floor: whether they come to rest.
 
-    PYTHONPATH=.:tests/fuzz python tests/fuzz/heaps.py --count 200 --seed 0
+    PYTHONPATH=.:tests/fuzz python tests/fuzz/heaps.py --count 200 --seed 0 [--integrator rk4]
 
 Of each heap it says if its run stopped, if its energy grew by more than a share of what is lost, how deep something
 sank, as a share of the smallest body's size, and what still moves at the end though it does not roll.
@@ -19,7 +19,7 @@ from passive import simulated
 RISE, SUNK, REST = 1e-3, 1e-2, 1e-3
 
 
-def draw(seed: int, duration: float = 2.0) -> dict[str, Any]:
+def draw(seed: int, duration: float = 2.0, integrator: str = "time_stepping") -> dict[str, Any]:
     """Return a scenario."""
     rng = np.random.default_rng(seed)
     bodies: list[dict[str, Any]] = []
@@ -45,7 +45,7 @@ def draw(seed: int, duration: float = 2.0) -> dict[str, Any]:
                 contacts.append(common | {"link": body["name"], "against": other["name"], "onto": "collision"})
         bodies.append(body)
     step = float(rng.choice([5e-4, 1e-3, 2e-3, 5e-3]))
-    times = {"duration": round(duration / step) * step, "step": step, "integrator": "time_stepping"}
+    times = {"duration": round(duration / step) * step, "step": step, "integrator": integrator}
     return {
         "robot": {"model": "none"}, "body": bodies, "contact": contacts,
         "surface": {"kind": "none", "contact": "unilateral"}, "time": times,
@@ -85,10 +85,11 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--count", type=int, default=100)
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--integrator", default="time_stepping")
     args = parser.parse_args()
     counts: Counter[str] = Counter()
     for seed in range(args.seed, args.seed + args.count):
-        scenario, since = draw(seed), time.process_time()
+        scenario, since = draw(seed, integrator=args.integrator), time.process_time()
         _, wrong = examine(scenario)
         counts.update(list(wrong))
         if wrong:

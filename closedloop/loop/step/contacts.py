@@ -152,7 +152,7 @@ def contacts_in_step(address: int, what: int) -> int:
         elif status == PAINLEVE and links.fresh == 0:
             status = OK
             if crowded or (fixed and state.event.steady != 0):
-                begin_stepping(links, c, state)
+                begin_stepping(links, c, state, constants.h)
             else:
                 begin_time_step(links, c, w.time)
         forget_joints(links, c)
@@ -168,18 +168,19 @@ def contacts_in_step(address: int, what: int) -> int:
 
 
 @kernel
-def begin_stepping(links: ContactLinks, c: Contacts, state: State) -> None:
+def begin_stepping(links: ContactLinks, c: Contacts, state: State, h: float) -> None:
     """Let steps of impulses follow, the first to the end of this step, until modes stay: they do not last now."""
     state.event.stepping, state.event.steady, state.divided, state.event.instants = 1, 0, 0, 0
-    c.step.gained = math.inf
-    c.step.follows, c.step.in_vain, told = 0.0, 0.0, False
+    c.step.gained = c.step.follows = c.step.in_vain = 0.0
+    told = False
     for i in range(links.k):
         closed = i < links.points + links.stops and c.mode[i] != FREE
-        c.gaps.cleared[i] = 1.0 - c.past_edge[i]
+        c.gaps.cleared[i] = 1.0 if closed else 0.0  # of open ones `belongs_here` says it
         c.event.happened[i], told = TIME_STEP if closed and not told else 0.0, told or closed
     c.event.energy_lost = c.event.energy_rested = 0.0
     for r in range(3 * links.k):
         c.F[r], c.before[r], c.problem.after[r] = 0.0, c.u[r], c.u[r]
+        c.step.gained = max(c.step.gained, h * abs(c.a[r]))
 
 
 @kernel

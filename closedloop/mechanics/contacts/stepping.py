@@ -42,6 +42,7 @@ from closedloop.mechanics.contacts.joint_space import (
 )
 from closedloop.mechanics.contacts.memory import INSIDE, ContactLinks, Contacts, joints_of
 from closedloop.mechanics.contacts.resistance import is_resistance
+from closedloop.mechanics.contacts.rolling import has_edge, shapes_at
 from closedloop.mechanics.contacts.soft import force_at, soft_gap
 from closedloop.mechanics.limits import FOUND, HALVINGS, HOVERING, SLIGHT, STICK_SPEED, STIFF, TENTH
 
@@ -221,7 +222,7 @@ def takes_part(links: ContactLinks, c: Contacts, i: int, h: float, s: JointSpace
         return bool(s.given[a] >= 0.0)
     if c.friction.pulls[i] != 0.0 and c.soft[i] == 0.0:
         s.normal[a] = HOLDS
-    return bool(c.friction.pulls[i] != 0.0 or belongs_here(c, i))
+    return bool(c.friction.pulls[i] != 0.0 or belongs_here(links, c, i))
 
 
 @kernel
@@ -240,14 +241,16 @@ def write_softness(links: ContactLinks, c: Contacts, i: int, s: JointSpace, a: i
 
 
 @kernel
-def belongs_here(c: Contacts, i: int) -> bool:
+def belongs_here(links: ContactLinks, c: Contacts, i: int) -> bool:
     """Whether contact i is at its own surface: nearer to it than to its edge when it came, and not beyond that since.
 
     What comes from beside, or edges that begin to cross, may be deep below it at once; then another contact is nearer.
+    Edges belong to each other where they have come from above within a step.
     """
+    edges = links.shapes != 0 and has_edge(shapes_at(links.shapes), i)
     if c.inside[i] < 0.0:
         c.gaps.cleared[i] = 0.0
-    elif c.located[3 * i] >= -c.inside[i]:
+    elif c.located[3 * i] >= -(min(c.inside[i], c.step.reach) if edges else c.inside[i]):
         c.gaps.cleared[i] = 1.0
     return bool(c.gaps.cleared[i] != 0.0)
 

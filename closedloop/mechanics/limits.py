@@ -137,7 +137,11 @@ SHARE_DEEPER = limit(
 
 # Counts.
 ITERATIONS = limit(
-    "ITERATIONS", 40, "", "of any iteration, and of events at one instant: what has not converged by then does not"
+    "ITERATIONS",
+    40,
+    "",
+    "of any iteration, of events at an instant, of instants in a step, and of steps in which modes stay: what has not "
+    "converged by then does not",
 )
 REFINEMENTS = limit(
     "REFINEMENTS", 5, "", "of solutions and their derivatives, and moves of a projection: all converge quickly"

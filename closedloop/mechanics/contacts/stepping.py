@@ -17,6 +17,9 @@ The scheme is of first order, and costs the same however many contacts close, op
 are P/h: an impact is a large force of one step. Resistances and the dry friction of joints are in the same problem; a
 soft contact presses with the force at the step's end, of the tangent of its law, so that no stiffness is too large for
 the step.
+
+Such steps follow, too, where modes change too often within a step of another integrator, until they stay
+(`closedloop.loop.step.contacts.begin_stepping`).
 """
 
 import math

@@ -121,15 +121,34 @@ def test_a_block_is_lifted_by_joints_with_dry_friction():
     np.testing.assert_allclose(run.v[-1, [0, 5]], run.v[-1, 0], rtol=1e-9)
 
 
-def test_modes_that_change_again_and_again_do_not_hold_up_a_step():
-    """Five dominoes that slide down on each other have nowhere near as many events in a step as end the search.
+def test_a_heap_comes_to_rest_by_events():
+    """Five dominoes slide down on each other: steps of impulses follow where modes end often, until they stay.
 
-    There were 1900 in one step, at which no mode changed: it took 18 s, and a later one more than a minute.
+    There were 1900 events in one step, at which no mode changed: it took 18 s, and a later one more than a minute.
     """
     sim = cl.Simulator(scenario_of("dominoes", "semi_implicit_euler"), engine="compiled")
     sim.reset()
-    events, most = sim._stepper.loop.state.event, 0
-    for _ in range(852):
+    state, most, steps = sim._stepper.loop.state, 0, 0
+    while not sim.done:
         sim.step()
-        most = max(most, int(events.in_step))
+        most, steps = max(most, int(state.event.in_step)), steps + int(state.event.stepping)
+    run = sim.run()
+    energy = run.kinetic_energy + run.potential_energy
     assert most < MAX_IN_STEP / 4
+    assert 100 < steps < len(run)
+    assert np.max(np.diff(energy)) < 1e-6 * (energy[0] - energy[-1])
+    assert np.max(np.abs(run.v[-1])) < 1e-6
+    assert np.min(np.where(run.link_forces > 0.0, run.link_gaps, 0.0)) > -1e-4
+    assert "time_step" in {event.kind for event in run.events}
+
+
+@pytest.mark.parametrize("engine", ["compiled", "pinocchio"])
+def test_what_an_event_begins_with_does_not_act_before_it(engine):
+    """A foot that leaves its face, or edges that turn parallel, change forces at once: at an instant, not at a stage.
+
+    Before, stages beyond the instant of such an event took part in the step to it, with a force of 700 N that pulls:
+    dominoes gained 0.024 J at 0.553 s, with Pinocchio's rounding.
+    """
+    run = cl.simulate(scenario_of("dominoes", "rk4").replace(**{"time.duration": 0.6}), engine=engine)
+    energy = run.kinetic_energy + run.potential_energy
+    assert np.max(np.diff(energy)) < 1e-7 * energy[0]

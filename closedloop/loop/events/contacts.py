@@ -182,12 +182,16 @@ def resume_with_contacts(w: Work, constants: Constants, state: State, events: Ar
     return resume_step(w, constants, state)
 
 
+# Modes of all contacts are one number below this prime, 2³¹ − 1.
+MOST_MODES = 2147483647
+
+
 @kernel
 def modes_come_again(links: ContactLinks, c: Contacts, state: State) -> bool:
     """Whether modes that do not last have been found at this instant before, one or two searches ago; note them."""
     modes = 1
     for i in range(links.joints):
-        modes = 31 * modes + int(c.mode[i])
+        modes = (31 * modes + int(c.mode[i])) % MOST_MODES
         if c.event.struck[i] != 0.0:
             modes, state.event.modes = 0, 0
             break

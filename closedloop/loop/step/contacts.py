@@ -26,7 +26,14 @@ from closedloop.loop.step.tendons import add_along
 from closedloop.mechanics.closure.contact_force import FREE, PRESSED, STUCK, accelerate
 from closedloop.mechanics.closure.solve import LAW_FAILED, OK, PAINLEVE, back_substitute
 from closedloop.mechanics.contacts.closed import solve_closed
-from closedloop.mechanics.contacts.friction import advance_states, cone_limit, give_states, stops_slipping, write_rates
+from closedloop.mechanics.contacts.friction import (
+    advance_states,
+    cone_limit,
+    give_states,
+    stops_slipping,
+    take_kinetic,
+    write_rates,
+)
 from closedloop.mechanics.contacts.given_modes import (
     keep_in_cones,
     kinds_of_modes,
@@ -140,7 +147,8 @@ def contacts_in_step(address: int, what: int) -> int:
         advance_states(links, c, w.friction.span, w.z)
     else:
         place_contacts(links, c, w)
-        status, fixed = PAINLEVE, state.settings.adaptive == 0
+        soft_closure = c.friction.pulls[0] != 0.0 and c.soft[0] != 0.0  # is no part of the problem of impulses
+        status, fixed = PAINLEVE, state.settings.adaptive == 0 and not soft_closure
         crowded = fixed and (state.event.instants > ITERATIONS or state.event.in_step > MAX_IN_STEP)
         if links.chattering < 2 and not crowded:
             locate_joints(links, c, w, constants, state)
@@ -169,9 +177,13 @@ def contacts_in_step(address: int, what: int) -> int:
 
 @kernel
 def begin_stepping(links: ContactLinks, c: Contacts, state: State, h: float) -> None:
-    """Let steps of impulses follow, the first to the end of this step, until modes stay: they do not last now."""
+    """Let steps of impulses follow, the first to the end of this step, until modes stay: they do not last now.
+
+    Friction of other laws than Coulomb's has the level of an impact.
+    """
     state.event.stepping, state.event.steady, state.divided, state.event.instants = 1, 0, 0, 0
     c.step.gained = c.step.follows = c.step.in_vain = 0.0
+    take_kinetic(links, c)
     told = False
     for i in range(links.k):
         closed = i < links.points + links.stops and c.mode[i] != FREE

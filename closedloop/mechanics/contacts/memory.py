@@ -122,9 +122,7 @@ class TimeStep(Block, sizes=("n", "k")):
     within: float  # the same of the substep under way
     force: Annotated[Array, 3 * K]  # N
     reach: float  # m, within which contacts are near
-    gained: (
-        float  # the largest that smooth forces add, in the last step in which a contact took part, m/s; inf at first
-    )
+    gained: float  # most that smooth forces add, in the last step in which a contact took part, m/s; inf at first
     struck: float  # when the last tangential impact was, s
     in_vain: float  # 1 if there were no modes after it; 0 again likewise
     at_once: float  # 1 while its impulses have just been written

@@ -248,6 +248,7 @@ SHAPES: dict[int, dict[str, Any]] = {
     table.RELEASE: {"marker": "<", "markersize": 5},
     table.TIME_STEP: {"marker": "*", "markersize": 6},
     table.TANGENTIAL_IMPACT: {"marker": "p", "markersize": 5},
+    table.TIME_STEPPING: {"marker": "h", "markersize": 5},
 }
 INK = "0.15"
 TIME = "time [s]"

@@ -14,7 +14,7 @@ from closedloop.jit.kernel import kernel
 
 # Kinds, as they are stored.
 IMPACT, TOUCHDOWN, LIFTOFF, STICK, SLIP_AGAIN, REVERSAL, EDGE, STOP, RELEASE, TIME_STEP = 1, 2, 3, 4, 5, 6, 7, 8, 9, 10
-TANGENTIAL_IMPACT = 11
+TANGENTIAL_IMPACT, TIME_STEPPING = 11, 12
 KINDS = {
     IMPACT: "impact",
     TOUCHDOWN: "touchdown",
@@ -27,6 +27,7 @@ KINDS = {
     RELEASE: "release",
     TIME_STEP: "time_step",
     TANGENTIAL_IMPACT: "tangential_impact",
+    TIME_STEPPING: "time_stepping_start",
 }
 
 
@@ -68,8 +69,8 @@ EVENT_COLUMNS: dict[str, EventColumn] = {
         "1",
         "1 impact (the tip bounces), 2 touchdown (contact begins), 3 liftoff, 4 stick, 5 slip, 6 reversal of slip, "
         "7 edge (the tip goes beyond the surface's edge: contact ends), 8 stop (a joint strikes its stop), 9 release, "
-        "10 a time step at the level of impulses, where no modes of the contacts agree, or many, where they change "
-        "too often, 11 tangential impact (an impulse stops a slip that pulls the contact in)",
+        "10 a time step at the level of impulses, where no modes of the contacts agree, 11 tangential impact (an "
+        "impulse stops a slip that pulls the contact in), 12 start of time stepping, where modes change too often",
     ),
     "event_rate_before": EventColumn(("event",), "m s-1", "closure rate just before the event"),
     "event_rate_after": EventColumn(("event",), "m s-1", "closure rate just after the event"),

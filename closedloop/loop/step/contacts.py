@@ -60,7 +60,7 @@ from closedloop.mechanics.contacts.resistance import has_resistance, is_resistan
 from closedloop.mechanics.contacts.rolling import longest_roll, rest_on_feet, rim_margin, rolls, shapes_at
 from closedloop.mechanics.contacts.soft import let_friction_rise, soft_margin
 from closedloop.mechanics.contacts.stepping import begin_step, look_ahead
-from closedloop.mechanics.contacts.time_step import TIME_STEP, begin_time_step
+from closedloop.mechanics.contacts.time_step import begin_time_step
 from closedloop.mechanics.contacts.turning import stop_slips, turn_and_solve
 from closedloop.mechanics.impact import energy_lost
 from closedloop.mechanics.limits import (
@@ -175,6 +175,10 @@ def contacts_in_step(address: int, what: int) -> int:
     return int(status)
 
 
+# What happened to a contact, as the kinds of `closedloop.loop.events.table`.
+TIME_STEPPING = 12.0
+
+
 @kernel
 def begin_stepping(links: ContactLinks, c: Contacts, state: State, h: float) -> None:
     """Let steps of impulses follow, the first to the end of this step, until modes stay: they do not last now.
@@ -188,7 +192,7 @@ def begin_stepping(links: ContactLinks, c: Contacts, state: State, h: float) -> 
     for i in range(links.k):
         closed = i < links.points + links.stops and c.mode[i] != FREE
         c.gaps.cleared[i] = 1.0 if closed else 0.0  # of open ones `belongs_here` says it
-        c.event.happened[i], told = TIME_STEP if closed and not told else 0.0, told or closed
+        c.event.happened[i], told = TIME_STEPPING if closed and not told else 0.0, told or closed
     c.event.energy_lost = c.event.energy_rested = 0.0
     for r in range(3 * links.k):
         c.F[r], c.before[r], c.problem.after[r] = 0.0, c.u[r], c.u[r]

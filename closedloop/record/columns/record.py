@@ -176,8 +176,8 @@ class Event(NamedTuple):
     time : float
         Instant, s.
     kind : str
-        "impact", "touchdown", "liftoff", "stick", "slip", "reversal", "edge", "stop", "release", "time_step" or
-        "tangential_impact".
+        "impact", "touchdown", "liftoff", "stick", "slip", "reversal", "edge", "stop", "release", "time_step",
+        "tangential_impact" or "time_stepping_start".
     rate_before, rate_after : float
         Rate of the closure error just before and just after it, m/s.
     rate_cut : float

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from closedloop.control.drives import AT_RATE_LIMIT, AT_TORQUE_LIMIT, OF_THE_ROBOT
-from closedloop.loop.events.table import IMPACT, TOUCHDOWN
+from closedloop.loop.events.table import IMPACT, TIME_STEPPING, TOUCHDOWN
 from closedloop.mechanics.closure.contact_force import FREE
 from closedloop.mechanics.friction.law import FrictionLaw
 from closedloop.mechanics.integrators import ADAPTIVE, scheme_of
@@ -220,6 +220,17 @@ def shifted_events(run: Record) -> str:
     )
 
 
+def stepped_in_time(run: Record) -> str:
+    """Return a line about steps of impulses that took the place of events, or an empty string."""
+    count = np.count_nonzero(run.event_kind == TIME_STEPPING)
+    if count == 0:
+        return ""
+    return (
+        f"where modes of contacts changed too often ({count} times) steps of impulses followed, which are of order 1; "
+        "time.integrator = 'time_stepping' takes such steps alone, in less time"
+    )
+
+
 def _energy_fault(law: Any, load: float, n: int | None = None) -> str | None:
     """Return what `FrictionLaw.energy_fault` says; nothing of a user's class that is not there."""
     return law.energy_fault(load, n) if isinstance(law, FrictionLaw) else None
@@ -247,7 +258,7 @@ def notes(run: Record) -> list[str]:
     )
     told = {problem["name"] for problem in run.summary()["verdict"]["problems"]}
     passing = passing_note(run.summary()["clearance"])
-    lines = [*_robot_notes(run), restitution_cut(run), shifted_events(run), passing]
+    lines = [*_robot_notes(run), restitution_cut(run), shifted_events(run), stepped_in_time(run), passing]
     return [text for text in lines if text] + [f"{key}: {fault}" for key, fault in faults if fault and key not in told]
 
 

@@ -33,7 +33,7 @@ from closedloop.jit.background import start as start_compiling
 from closedloop.jit.cache_folder import why_not_kept
 from closedloop.jit.dual import NotCompiledError, NotDualError
 from closedloop.jit.kernel import jit_disabled, needs_compiling
-from closedloop.loop.events.table import KINDS, STICK, TANGENTIAL_IMPACT, TIME_STEP, event_columns
+from closedloop.loop.events.table import KINDS, STICK, TANGENTIAL_IMPACT, TIME_STEP, TIME_STEPPING, event_columns
 from closedloop.mechanics.closure.contact_force import FREE
 from closedloop.mechanics.integrators import ADAPTIVE
 from closedloop.mechanics.robot.tree import energies_of_rows
@@ -306,7 +306,7 @@ def _exact(
     start, cache = prepared(prepare(keys.scenario, model)), Cache()
     if start.problem.robot.moved:
         raise NotDualError("the memory of a [[mocap]] is of plain numbers")
-    if start.problem.integrator.time_stepping:
+    if start.problem.integrator.time_stepping or np.any(run.event_kind == TIME_STEPPING):
         raise NotDualError("the impulses of time stepping are found in rounds that end by their values")
     seeds = {d: seeds_of(keys, d, start, model, cache) for d in keys.directions}
     known = {d: each for d, each in seeds.items() if each is not None}

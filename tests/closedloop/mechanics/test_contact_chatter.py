@@ -139,7 +139,7 @@ def test_a_heap_comes_to_rest_by_events():
     assert np.max(np.diff(energy)) < 1e-6 * (energy[0] - energy[-1])
     assert np.max(np.abs(run.v[-1])) < 1e-6
     assert np.min(np.where(run.link_forces > 0.0, run.link_gaps, 0.0)) > -1e-4
-    assert "time_step" in {event.kind for event in run.events}
+    assert "time_stepping_start" in {event.kind for event in run.events}
 
 
 @pytest.mark.parametrize("engine", ["compiled", "pinocchio"])

@@ -225,8 +225,9 @@ def stepped_in_time(run: Record) -> str:
     count = np.count_nonzero(run.event_kind == TIME_STEPPING)
     if count == 0:
         return ""
+    often = "once" if count == 1 else f"{count} times"
     return (
-        f"where modes of contacts changed too often ({count} times) steps of impulses followed, which are of order 1; "
+        f"where modes of contacts changed too often ({often}) steps of impulses followed, which are of order 1; "
         "time.integrator = 'time_stepping' takes such steps alone, in less time"
     )
 

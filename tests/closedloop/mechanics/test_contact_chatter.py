@@ -1,6 +1,8 @@
 """Laws that look at the contact and work against it: no run hangs, whatever they do."""
 
 import itertools
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -8,6 +10,7 @@ from budget import others
 
 import closedloop as cl
 from closedloop.mechanics.limits import MAX_IN_STEP
+from closedloop.studies.gradient import exact
 from robot_models import load
 from validation.speed.scenes import scenario_of
 
@@ -152,3 +155,12 @@ def test_what_an_event_begins_with_does_not_act_before_it(engine):
     run = cl.simulate(scenario_of("dominoes", "rk4").replace(**{"time.duration": 0.6}), engine=engine)
     energy = run.kinetic_energy + run.potential_energy
     assert np.max(np.diff(energy)) < 1e-7 * energy[0]
+
+
+def test_dual_numbers_do_not_go_through_steps_of_impulses():
+    """Their impulses are found in rounds that end by their values: derivatives are differences of runs."""
+    scenario = scenario_of("dominoes", "semi_implicit_euler").replace({"time.duration": 0.86})
+    keys: Any = SimpleNamespace(scenario=scenario, directions=())
+    nothing: Any = None
+    with pytest.raises(exact.NotDualError, match="time stepping"):
+        exact._exact(keys, cl.simulate(scenario, engine="compiled"), nothing, (), None, nothing, 1)

@@ -28,7 +28,15 @@ from closedloop.mechanics.surface.placed import unit
 from closedloop.record import save as stored
 from closedloop.record.columns import derived
 from closedloop.record.columns.derived import DERIVED, columns_by_contact
-from closedloop.record.columns.record import ALL_COLUMNS, COLUMNS, SURFACE_COLUMNS, SYMBOLS, ColumnsOnDemand, Record
+from closedloop.record.columns.record import (
+    ALL_COLUMNS,
+    COLUMNS,
+    OF_CONTACTS,
+    SURFACE_COLUMNS,
+    SYMBOLS,
+    ColumnsOnDemand,
+    Record,
+)
 from closedloop.record.report.summary import summarise
 from closedloop.scenario.arm import robot_of
 from closedloop.scenario.load import parse_scenario
@@ -115,7 +123,7 @@ class Run(Record):
             return there[name]
         if there and name in SYMBOLS:
             return getattr(self, SYMBOLS[name])
-        if there and name in SURFACE_COLUMNS and not self.scenario.has_surface:
+        if there and ((name in SURFACE_COLUMNS and not self.scenario.has_surface) or name in OF_CONTACTS):
             return self._without_surface(name)
         if name in DERIVED:
             column = self.__dict__[name] = DERIVED[name].of(self)  # once: then it is found without asking here
@@ -145,7 +153,7 @@ class Run(Record):
         return column
 
     def _without_surface(self, name: str) -> NDArray[Any]:
-        """Return what stands for a column of the tip's contact where there is none: no force, and `surface.normal`."""
+        """Return what stands for a column of a contact where there is none: no force, and `surface.normal`."""
         normal = name == "surface_normal"
         shape = (len(self), 3) if "axis" in COLUMNS[name].dims else (len(self),)
         value = unit(self.scenario.surface.normal, "surface.normal") if normal else 0.0

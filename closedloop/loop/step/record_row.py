@@ -55,6 +55,7 @@ class Row(Block, sizes=("n",)):
     mode: float
     residual_motion: float
     residual_closure: float
+    residual_contacts: float
     kkt_condition: float
     normal_mobility: float
     kinetic_energy: float
@@ -292,6 +293,7 @@ def write_columns(H: Array, C: Array, w: Work, state: State, row: Row) -> None:
         row.residual_motion = math.nan
     else:
         row.residual_motion = motion_residual(H, w.scratch.column, C, w.qdd, w.tip, ends)
+    row.residual_contacts = 0.0 * trace  # see `record_contacts`
     row.normal_mobility = w.tip.S[0, 0] / select(trace > 0.0, trace, 1.0)
     row.kinetic_energy = kinetic_energy(H, w.v, ends)
     w.sensing.measured = w.tip.F[0]
@@ -315,8 +317,9 @@ def record_arm(w: Work, state: State, part: Array) -> None:
 
 @kernel
 def record_contacts(w: Work, state: State, part: Array) -> None:
-    """Write the part of a row that is a `ContactRow`."""
+    """Write the part of a row that is a `ContactRow`, and by how much contact forces since the row before are off."""
     links, c = contacts_at(state.contacts.at)
+    Row(part, w.q.shape[0]).residual_contacts, c.problem.off = c.problem.off, 0.0
     points = links.points
     if state.coupled == 0:
         for j in range(3):

@@ -77,6 +77,8 @@ class Problem(Block, sizes=("n", "k")):
     sought: float  # 1 until forces are solved in the modes that were sought
     points: float  # 1 if only points touch
     ends: float  # 1 if a slow slip ends within the step, see `closedloop.mechanics.contacts.turning`
+    # the largest share by which forces that an iteration ended with were off, since the row before
+    off: float
 
 
 class Moves(Block, sizes=("k",)):

@@ -83,6 +83,7 @@ def begin_step(links: ContactLinks, c: Contacts, load: Array, h: float, rest_spe
         write_problem(links, c, load, h, rest_speed, 0.0)
         if not solve_softly(s, a, n):
             return PAINLEVE, False
+        c.problem.off = max(c.problem.off, s.residual)
     steady = True
     for i in range(links.k):
         at, pressed = int(s.packed_at[i]), 0.0

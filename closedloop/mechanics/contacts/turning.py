@@ -16,7 +16,8 @@ state, within its limit where u⁺ is zero: what lets go and could stick at once
 through its turns: friction is against the slip as it is. That of soft contacts beside others rises with the slip there
 (`closedloop.mechanics.contacts.soft`).
 
-The work is bounded. What is not found by then is left: friction is then against the slip as it is.
+The work is bounded. Where there is no solution friction is against the slip as it is; directions that still change when
+it ends are kept, and by how much they do is in the record (`Problem.off`).
 """
 
 import math
@@ -90,11 +91,15 @@ def turn_and_solve(links: ContactLinks, c: Contacts, h: float, begins: bool, poi
             break
         if begins and not points and presses_in(c, k):
             break
-        stalled += 1 if change >= last else 0  # where forces are not unique it need not become less
-        if change <= DEPENDENT or stalled == REFINEMENTS or not some_slip_slowly(c, k, h):
+        if change <= DEPENDENT or not some_slip_slowly(c, k, h):
             return int(OK)
+        stalled += 1 if change >= last else 0  # where forces are not unique it need not become less
         last = float(change)
+        if stalled == REFINEMENTS:
+            c.problem.off = max(c.problem.off, last)
+            return int(OK)
     else:
+        c.problem.off = max(c.problem.off, last)
         return int(OK)
     c.problem.ends = c.problem.ends if points else 0.0
     for i in range(k):

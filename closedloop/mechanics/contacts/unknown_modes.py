@@ -50,6 +50,7 @@ def solve_impulses(links: ContactLinks, c: Contacts, span: float, again: bool = 
     if not found:
         a = pack_contacts(links, c, span)
         solve_softly(c.stepping, a, links.n, ITERATIONS)
+        c.problem.off = max(c.problem.off, c.stepping.residual)
         unpack_contacts(links, c, a)
     return found
 

@@ -69,6 +69,10 @@ class EveryRun(Protocol):
     mode: Annotated[Values, Column(ROWS, "1", "0 free, 1 pressed (sliding or at rest), 2 stuck")]
     residual_motion: Annotated[Values, Column(ROWS, "1", "relative residual of the equation of motion in Eq. 24")]
     residual_closure: Annotated[Values, Column(ROWS, "1", "relative residual of the closure row in Eq. 24")]
+    residual_contacts: Annotated[
+        Values,
+        Column(ROWS, "1", "largest relative residual of contact forces since the row before that did not converge"),
+    ]
     kkt_condition: Annotated[Values, Column(ROWS, "1", "condition number of the matrix of Eq. 24, 1-norm, SI units")]
     normal_mobility: Annotated[
         Values, Column(ROWS, "1", "A H^-1 A^T over the trace of J H^-1 J^T; 0 at a singular pose")
@@ -237,6 +241,9 @@ SURFACE_COLUMNS = (
     "closure_rate", "mode", "residual_closure",
 )  # fmt: skip
 
+# And if links have contacts; without them it is zero.
+OF_CONTACTS = ("residual_contacts",)
+
 COLUMNS: dict[str, Column] = _BY_TIME | {name: Column(*spec) for name, spec in EVENT_COLUMNS.items()}
 ALL_COLUMNS = COLUMNS | SOMETIMES
 # Symbols of the equations, which name a column as well: `run.f` is `run.contact_force`.
@@ -245,7 +252,7 @@ SYMBOLS = {
     "r": "position", "r_des": "reference_tip", "n": "surface_normal", "Q": "torque", "q_des": "reference_position",
     "v_des": "reference_velocity",
 }  # fmt: skip
-_NOT_ALWAYS = {*SURFACE_COLUMNS, *SOMETIMES}
+_NOT_ALWAYS = {*SURFACE_COLUMNS, *OF_CONTACTS, *SOMETIMES}
 POSITIONS = ("q", "reference_position")
 
 

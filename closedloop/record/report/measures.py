@@ -27,6 +27,7 @@ from closedloop.jit.simd8 import every, select
 from closedloop.loop.events.table import KINDS, EventRow
 from closedloop.loop.step.record_row import Row
 from closedloop.mechanics.closure.contact_force import FREE, STUCK
+from closedloop.mechanics.limits import NEAR
 from closedloop.mechanics.robot.tree import Tree, tree_potential_energy
 from closedloop.scenario.scenario import Scenario
 from robot_models import RobotModel
@@ -53,6 +54,7 @@ MEASURES: dict[str, Measure] = {
     "max_abs_closure_rate": Measure("m s-1", "largest closure rate in contact, either way"),
     "max_tip_speed": Measure("m s-1", "highest tip speed"),
     "max_kkt_residual": Measure("1", "largest relative residual of Eq. 24"),
+    "rows_not_converged": Measure("1", "rows before which contact forces did not converge"),
     "max_kkt_condition": Measure("1", "largest condition number of the matrix of Eq. 24"),
     "min_normal_mobility": Measure("1", "lowest share of the tip's mobility along the normal; 0 at a singular pose"),
     "singular_pose_passed": Measure(
@@ -89,9 +91,13 @@ _OF_THE_TIP = (
 def absent_measures(scenario: Scenario, own_law: bool = False) -> tuple[str, ...]:
     """Return the measures that do not exist: without a surface those of the contact, without a law that of the path.
 
+    Without contacts of links there are none of theirs.
+
     What is driven, or touches something that moves by itself, may gain energy.
     """
     without_law: tuple[str, ...] = ("rms_path_error",) if not (scenario.has_law or own_law) else ()
+    if not scenario.contact:
+        without_law += ("rows_not_converged",)
     if own_law or not scenario.is_passive:
         without_law += ("energy_gained", "energy_above_start")
     return without_law if scenario.has_surface else (*_OF_THE_TIP, *without_law)
@@ -220,6 +226,7 @@ class Sums(Block, sizes=("n",)):
     """Of these the sum over the rows counts."""
 
     touching: float
+    not_converged: float
     force_error_squared: float
     path_error_squared: float
     force: float  # magnitude
@@ -299,6 +306,7 @@ def sample_row(
     miss = force - wanted.force
     sample.unsettled = abs(miss) - SETTLED * scale.largest_force
     sums.touching = select(touching, 1.0, 0.0)
+    sums.not_converged = select(row.residual_contacts > NEAR, 1.0, 0.0)
     sums.force_error_squared = select(touching, miss * miss, 0.0)
     out, off_path, normal = 0.0, 0.0, row.surface_normal
     for k in range(3):
@@ -571,6 +579,7 @@ def write_values(last: Any, n: int, count: int, tally: Tally, values: Any) -> No
     values.max_abs_closure_error, values.max_abs_closure_rate = most.closure_error, most.closure_rate
     values.deepest_penetration, values.start_closure_error = max(most.penetration, 0.0), tally.start_error
     values.max_kkt_residual = max(most.residual_motion, most.residual_closure)
+    values.rows_not_converged = sums.not_converged
     values.max_kkt_condition, values.max_kinetic_energy = tally.condition, most.kinetic_energy
     values.max_tip_speed = math.sqrt(most.tip_speed_squared)
     values.max_friction_force = math.sqrt(most.friction_squared)

@@ -8,6 +8,7 @@ verdict stands in the first line of the report, in ``summary.json`` and in a col
 ``gains``                 gains that the step cannot carry (`closedloop.scenario.modes`), and it shows
 ``energy``                energy unaccounted for
 ``gain``                  energy of what nothing drives that grows
+``convergence``           contact forces that did not converge
 ``chatter``               force or torque that alternates from row to row, or events without end
 ``closure``               the tip in contact is off the surface, or inside it
 ``position_limit``        a joint beyond its position limits
@@ -234,7 +235,8 @@ def judge(facts: Facts, gains: Callable[[], str]) -> list[dict[str, Any]]:
     """
     problems = [problem_of("stopped", facts.stopped)] if facts.stopped else []
     if facts.steps >= 0:
-        problems += [p for p in (_energy(facts), _gain(facts), _chatter(facts), _closure(facts)) if p]
+        each = (_energy(facts), _gain(facts), _convergence(facts), _chatter(facts), _closure(facts))
+        problems += [problem for problem in each if problem]
     if SHAKEN & {problem["name"] for problem in problems} and (fault := gains()):
         problems.insert(0, problem_of("gains", fault))
     if facts.steps >= 0:
@@ -311,6 +313,15 @@ def _gain(facts: Facts) -> dict[str, Any] | None:
     text = f"the energy grows by {gained:.3g} J, more than {bound:.2g} J, though nothing drives it: try a shorter step"
     other = " or time.integrator = 'rk4'" if facts.scenario.time.integrator not in ("rk4", *ADAPTIVE) else ""
     return problem_of("gain", text + other)
+
+
+def _convergence(facts: Facts) -> dict[str, Any] | None:
+    """Return the problem of iterations that ended before the forces of the contacts agreed with their motion."""
+    rows = _number(facts.measures["rows_not_converged"]) if facts.scenario.contact else 0.0
+    if not rows:
+        return None
+    where = f"{rows:.0f} of {facts.steps + 1} rows"
+    return problem_of("convergence", f"forces of contacts did not converge in {where}: try a shorter step")
 
 
 def _chatter(facts: Facts) -> dict[str, Any] | None:

@@ -26,7 +26,7 @@ from closedloop.mechanics.impact import RATIOS
 from closedloop.mechanics.impact.single import RESTITUTIONS
 from closedloop.mechanics.surface.compliances.none import Rigid
 from closedloop.record.columns.derived import StatesOf, recorded_states, state_columns
-from closedloop.record.columns.record import RESISTANCE_COLUMNS, SURFACE_COLUMNS, Column
+from closedloop.record.columns.record import OF_CONTACTS, RESISTANCE_COLUMNS, SURFACE_COLUMNS, Column
 from closedloop.scenario.arm import has_stops, joint_friction_of
 from closedloop.scenario.scenario import BeliefSection, ModelErrorSection, Scenario
 from robot_models import RobotModel
@@ -162,7 +162,7 @@ def record_layout(
         **{name: (True, _moved(ContactRow.place(name, contacts), before)) for name in of_contacts},
         **{name: (True, _moved(place, behind)) for name, (_, place) in states.items()},
     }
-    absent = () if has_surface else SURFACE_COLUMNS
+    absent = (*(() if has_surface else SURFACE_COLUMNS), *(() if contacts else OF_CONTACTS))
     every = dict.fromkeys(x for x in ("time", *places, "potential_energy", *EVENT_COLUMNS) if x not in absent)
     without = dict.fromkeys(name for name in every if name not in states)
     columns, of_law = {name: column for name, (column, _) in states.items()}, recorded_states(states_of)

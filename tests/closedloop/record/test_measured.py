@@ -98,6 +98,7 @@ def made_up(case, n=3, count=60):
     row["mode"] = rng.choice([FREE, PRESSED, STUCK], count).astype(float)
     row["normal_mobility"] = 10.0 ** rng.uniform(-8.0, 0.0, count)
     row["residual_motion"], row["residual_closure"] = 10.0 ** rng.uniform(-14.0, -11.0, (2, count))
+    row["residual_contacts"] = 10.0 ** rng.uniform(-7.0, -2.0, count)
     wanted = SimpleNamespace(position=rng.normal(size=(count, 3)), force=10.0 + rng.normal(size=count))
     limits = np.abs(rng.normal(size=(4, n))) * [[-1.0], [1.0], [1.0], [1.0]]
     if case == "free":
@@ -183,6 +184,7 @@ def written_out(row, wanted, limits, V):
         "max_tip_speed": np.max(np.linalg.norm(r.velocity, axis=1)),
         "max_kkt_condition": np.max(r.kkt_condition),
         "max_kkt_residual": max(np.max(r.residual_motion), np.max(r.residual_closure)),
+        "rows_not_converged": np.count_nonzero(r.residual_contacts > 1e-4),
         "min_normal_mobility": np.min(least),
         "singular_pose_passed": float(failed.any() and not failed[0] and not near[-1] and not grown),
         "max_energy_residual": np.max(np.abs(left)),

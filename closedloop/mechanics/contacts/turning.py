@@ -16,8 +16,8 @@ state, within its limit where u⁺ is zero: what lets go and could stick at once
 through its turns: friction is against the slip as it is. That of soft contacts beside others rises with the slip there
 (`closedloop.mechanics.contacts.soft`).
 
-The work is bounded. Where there is no solution friction is against the slip as it is; directions that still change when
-it ends are kept, and by how much they do is in the record (`Problem.off`).
+The work is bounded. What is not found by then is left: friction is then against the slip as it is, and agrees with the
+forces. So it is where directions go round among some without end; what they change by at last is in the record.
 """
 
 import math
@@ -87,18 +87,17 @@ def turn_and_solve(links: ContactLinks, c: Contacts, h: float, begins: bool, poi
     last, stalled, most = math.inf, 0, HIGH * force_size(c.rigid)
     for _ in range(ITERATIONS):
         change = turn_slips(links, c, h, begins)
-        if change < 0.0 or solve_closed(links, c) != OK or some_pull(c, k) or force_size(c.rigid) > most:
-            break
-        if begins and not points and presses_in(c, k):
+        pulls = change < 0.0 or solve_closed(links, c) != OK or some_pull(c, k) or force_size(c.rigid) > most
+        if pulls or (begins and not points and presses_in(c, k)):
+            last = math.inf
             break
         if change <= DEPENDENT or not some_slip_slowly(c, k, h):
             return int(OK)
         stalled += 1 if change >= last else 0  # where forces are not unique it need not become less
         last = float(change)
         if stalled == REFINEMENTS:
-            c.problem.off = max(c.problem.off, last)
-            return int(OK)
-    else:
+            break
+    if last <= NEAR:
         c.problem.off = max(c.problem.off, last)
         return int(OK)
     c.problem.ends = c.problem.ends if points else 0.0

@@ -306,7 +306,7 @@ def sample_row(
     miss = force - wanted.force
     sample.unsettled = abs(miss) - SETTLED * scale.largest_force
     sums.touching = select(touching, 1.0, 0.0)
-    sums.not_converged = select(row.residual_contacts > NEAR, 1.0, 0.0)
+    sums.not_converged = select(row.residual_contacts <= NEAR, 0.0, 1.0)
     sums.force_error_squared = select(touching, miss * miss, 0.0)
     out, off_path, normal = 0.0, 0.0, row.surface_normal
     for k in range(3):

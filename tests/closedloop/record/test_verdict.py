@@ -116,6 +116,15 @@ def test_every_bound_from_both_sides(own, inside, beyond, name):
     assert told(facts(**{own: beyond})) == name
 
 
+def test_one_row_that_did_not_converge_is_not_good():
+    """Of contacts of links; without any there is no such number."""
+    contact = {"contact": [{"link": "link3", "point": [0.0, 0.0, 0.0]}]}
+    assert told(facts(contact)) == "good"
+    assert told(facts(contact, rows_not_converged=1.0)) == "convergence"
+    assert told(facts(contact, rows_not_converged=np.nan)) == "convergence"
+    assert told(facts(rows_not_converged=np.nan)) == "good"
+
+
 @pytest.mark.parametrize("figure", ["max_energy_residual", "force_chatter", "max_abs_closure_error"])
 @pytest.mark.parametrize("value", [None, np.nan, np.inf])
 def test_what_is_missing_never_passes(figure, value):

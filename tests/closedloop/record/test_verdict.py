@@ -118,7 +118,7 @@ def test_every_bound_from_both_sides(own, inside, beyond, name):
 
 def test_one_row_that_did_not_converge_is_not_good():
     """Of contacts of links; without any there is no such number."""
-    contact = {"contact": [{"link": "link3", "point": [0.0, 0.0, 0.0]}]}
+    contact = {"contact": [{"link": "link3", "at": [0.0, 0.0, 0.0]}]}
     assert told(facts(contact)) == "good"
     assert told(facts(contact, rows_not_converged=1.0)) == "convergence"
     assert told(facts(contact, rows_not_converged=np.nan)) == "convergence"

@@ -21,7 +21,7 @@ from closedloop.figures.scene.scene import scene_of
 from closedloop.lab.animate import Picture
 from closedloop.loop.events.table import EVENT_COLUMNS
 from closedloop.record.columns.derived import DERIVED
-from closedloop.record.columns.record import ALL_COLUMNS, ARM_COLUMNS, COLUMNS, CONTACT_COLUMNS
+from closedloop.record.columns.record import ALL_COLUMNS, ARM_COLUMNS, COLUMNS, CONTACT_COLUMNS, OF_CONTACTS
 from closedloop.record.report.verdict import names_of
 from closedloop.scenario import messages
 from closedloop.scenario.tables import table_type
@@ -113,7 +113,7 @@ def columns() -> Iterator[str]:
     for title, names in (
         ("By time", [c for c in COLUMNS if c not in events]),
         ("With drives, encoders or elastic joints that are asked for", list(ARM_COLUMNS)),
-        ("With contacts of the links, [[contact]]", list(CONTACT_COLUMNS)),
+        ("With contacts of the links, [[contact]]", [*OF_CONTACTS, *CONTACT_COLUMNS]),
         ("Events", [c for c in COLUMNS if c in events]),
     ):
         yield from ("", f"## {title}", "")

@@ -155,7 +155,7 @@ class Run(Record):
     def _without_surface(self, name: str) -> NDArray[Any]:
         """Return what stands for a column of a contact where there is none: no force, and `surface.normal`."""
         normal = name == "surface_normal"
-        shape = (len(self), 3) if "axis" in COLUMNS[name].dims else (len(self),)
+        shape = (len(self), 3) if "axis" in ALL_COLUMNS[name].dims else (len(self),)
         value = unit(self.scenario.surface.normal, "surface.normal") if normal else 0.0
         column = np.full(shape, value, dtype=np.int8 if name == "mode" else np.float64)
         column.setflags(write=False)

@@ -69,10 +69,6 @@ class EveryRun(Protocol):
     mode: Annotated[Values, Column(ROWS, "1", "0 free, 1 pressed (sliding or at rest), 2 stuck")]
     residual_motion: Annotated[Values, Column(ROWS, "1", "relative residual of the equation of motion in Eq. 24")]
     residual_closure: Annotated[Values, Column(ROWS, "1", "relative residual of the closure row in Eq. 24")]
-    residual_contacts: Annotated[
-        Values,
-        Column(ROWS, "1", "largest relative residual of contact forces since the row before that did not converge"),
-    ]
     kkt_condition: Annotated[Values, Column(ROWS, "1", "condition number of the matrix of Eq. 24, 1-norm, SI units")]
     normal_mobility: Annotated[
         Values, Column(ROWS, "1", "A H^-1 A^T over the trace of J H^-1 J^T; 0 at a singular pose")
@@ -106,6 +102,10 @@ class OfArm(Protocol):
 class OfContacts(Protocol):
     """What it has if its links have contacts besides the tip."""
 
+    residual_contacts: Annotated[
+        Values,
+        Column(ROWS, "1", "largest relative residual of contact forces since the row before that did not converge"),
+    ]
     link_modes: Annotated[Values, Column(CONTACTS, "1", "mode of each contact of a link: 0 free, 1 sliding, 2 stuck")]
     link_gaps: Annotated[Values, Column(CONTACTS, "m", "gap of each, positive off its plane")]
     link_forces: Annotated[
@@ -230,19 +230,19 @@ def events_of(columns: Mapping[str, NDArray[Any]]) -> tuple[Event, ...]:
     return tuple(Event(row[0], KINDS[row[1]], *row[2:]) for row in rows)
 
 
-_BY_TIME, ARM_COLUMNS, CONTACT_COLUMNS = map(columns_of, (EveryRun, OfArm, OfContacts))
+_BY_TIME, ARM_COLUMNS, _OF_LINKS = map(columns_of, (EveryRun, OfArm, OfContacts))
+# Of all contacts together; without any it is zero. And of each.
+OF_CONTACTS = ("residual_contacts",)
+CONTACT_COLUMNS = {name: column for name, column in _OF_LINKS.items() if name not in OF_CONTACTS}
 # Those of the last that a run has if one of its contacts resists to rolling or to pivoting.
 RESISTANCE_COLUMNS = ("link_rolling_moments", "link_pivoting_moments")
-SOMETIMES = ARM_COLUMNS | CONTACT_COLUMNS
+SOMETIMES = ARM_COLUMNS | _OF_LINKS
 
 # What it has if there is a surface that its tip may touch; without one a `Run` answers with zeros.
 SURFACE_COLUMNS = (
     "surface_normal", "slip_velocity", "contact_force", "stabiliser_force", "friction_force", "closure_error",
     "closure_rate", "mode", "residual_closure",
 )  # fmt: skip
-
-# And if links have contacts; without them it is zero.
-OF_CONTACTS = ("residual_contacts",)
 
 COLUMNS: dict[str, Column] = _BY_TIME | {name: Column(*spec) for name, spec in EVENT_COLUMNS.items()}
 ALL_COLUMNS = COLUMNS | SOMETIMES
@@ -252,7 +252,7 @@ SYMBOLS = {
     "r": "position", "r_des": "reference_tip", "n": "surface_normal", "Q": "torque", "q_des": "reference_position",
     "v_des": "reference_velocity",
 }  # fmt: skip
-_NOT_ALWAYS = {*SURFACE_COLUMNS, *OF_CONTACTS, *SOMETIMES}
+_NOT_ALWAYS = {*SURFACE_COLUMNS, *SOMETIMES}
 POSITIONS = ("q", "reference_position")
 
 

@@ -30,7 +30,6 @@ from closedloop.record.columns import derived
 from closedloop.record.columns.derived import DERIVED, columns_by_contact
 from closedloop.record.columns.record import (
     ALL_COLUMNS,
-    COLUMNS,
     OF_CONTACTS,
     SURFACE_COLUMNS,
     SYMBOLS,

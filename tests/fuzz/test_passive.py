@@ -19,3 +19,11 @@ def test_the_adaptive_integrator_goes_on_where_a_slip_begins(seed, duration):
     scenario["time"]["duration"] = duration
     _, wrong = passive.examine(scenario)
     assert not wrong
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [9910889, 9911594])
+def test_a_step_of_impulses_goes_on_where_no_motion_is_smooth(seed):
+    """A box slips on a soft corner as it tilts, a can rocks down onto its end: dop853 had stopped there."""
+    _, wrong = passive.examine(passive.draw(seed))
+    assert not wrong

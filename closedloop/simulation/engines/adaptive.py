@@ -45,7 +45,7 @@ from closedloop.loop.step.record_row import complete_record, rows_there
 from closedloop.mechanics.closure.contact_force import FREE, PRESSED
 from closedloop.mechanics.closure.solve import OK
 from closedloop.mechanics.contacts.friction import stops_slipping
-from closedloop.mechanics.limits import BREAKING_AWAY, CLOSED, INSTANT, OUTPACED, STICK_SPEED
+from closedloop.mechanics.limits import BREAKING_AWAY, CLOSED, INSTANT, ITERATIONS, OUTPACED, STICK_SPEED
 from closedloop.simulation.engines.adaptive_parts import Interval, Memory, Stopped, first_crossing, interval_from, jumps
 from closedloop.simulation.engines.failures import failure_of, interrupted, when
 from closedloop.simulation.engines.problem import Problem
@@ -250,7 +250,13 @@ class AdaptiveRun:
                     if self.scheme != scheme:
                         break
                     self.set_tolerance(solver)
-                self.step(solver)
+                try:
+                    self.step(solver)
+                except Stopped as stop:
+                    if stop.fault != STALLED or self.memory.state.coupled == 0:
+                        raise
+                    self.give_up_modes(interval)
+                    return
                 within, length = solver.dense_output(), solver.t - self.time
                 event = self.crossing(within, length, interval) if self.has_events else None
                 settled = None
@@ -372,6 +378,13 @@ class AdaptiveRun:
             later = max(2.0 * later, float(np.spacing(self.time)))
             write_back()
         self.y = memory.get()
+
+    def give_up_modes(self, interval: Interval) -> None:
+        """Let a step of impulses follow, as where modes change too often at one instant: no motion is smooth."""
+        memory = self.memory
+        memory.state.event.rapid, memory.w.last_event = 2 * ITERATIONS, self.time
+        self.time = memory.apply_event(self.time, self.y, interval)
+        self.y, self.steps_since_row, self.next_step = memory.get(), 0, FIRST * self.problem.h
 
     def refused(self, before: State) -> bool:
         """Whether the event handling left the mode as it was: no event, or a liftoff taken back."""

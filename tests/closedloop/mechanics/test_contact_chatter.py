@@ -10,6 +10,7 @@ from budget import others
 
 import closedloop as cl
 from closedloop.mechanics.limits import MAX_IN_STEP
+from closedloop.record.report.tables import notes
 from closedloop.studies.gradient import exact
 from robot_models import load
 from validation.speed.scenes import scenario_of
@@ -143,6 +144,7 @@ def test_a_heap_comes_to_rest_by_events():
     assert np.max(np.abs(run.v[-1])) < 1e-6
     assert np.min(np.where(run.link_forces > 0.0, run.link_gaps, 0.0)) > -1e-4
     assert "time_stepping_start" in {event.kind for event in run.events}
+    assert any("time.integrator = 'time_stepping'" in note for note in notes(run))
 
 
 @pytest.mark.parametrize("engine", ["compiled", "pinocchio"])

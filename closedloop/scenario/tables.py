@@ -292,10 +292,13 @@ def names_of(sections: tuple[ContactSection, ...]) -> tuple[str, ...]:
 
 
 def patches_of(sections: tuple[ContactSection, ...]) -> dict[str, list[int]]:
-    """Return the numbers of contacts, from 0, by the name that points share: "foot 1" and "foot 2" are of "foot"."""
+    """Return the numbers of contacts, from 0, by the name that points share: "foot 1" and "foot 2" are of "foot".
+
+    "contact 1" and "contact 2" share none: they are two that have no name.
+    """
     found: dict[str, list[int]] = {}
     for k, name in enumerate(names_of(sections)):
-        found.setdefault(re.sub(r" \d+$", "", name), []).append(k)
+        found.setdefault(re.sub(r"(?<!^contact) \d+$", "", name), []).append(k)
     return found
 
 

@@ -7,6 +7,7 @@ import closedloop as cl
 from closedloop.command.sweep import main as sweep
 from closedloop.mechanics.contacts.sections import ContactSection
 from closedloop.scenario.messages import describe_section, explain_key, key_description, key_unit
+from closedloop.scenario.tables import patches_of
 
 NAME = "gripper_gear"
 
@@ -151,3 +152,12 @@ def test_a_list_of_points_takes_the_place_of_the_list_that_was_there():
     assert list(spread.contact[0].at) == [0.0, 0.0, 0.5]
     both = cl.load_scenario(NAME, {"contact": tables, "contact.*.at": wanted}).contact
     assert [contact.name for contact in both] == [f"{name} {k}" for name in ("floor", "knee") for k in (1, 2, 3)]
+
+
+def test_contacts_without_names_are_not_points_of_one():
+    """Of two corners called "foot 1" and "foot 2" a figure draws the sum; two contacts without names stay apart."""
+    points = [
+        {"link": "wam/wrist", "name": name} for name in ("", "", "foot 1", "foot 2", "contact 5 1", "contact 5 2")
+    ]
+    sections = tuple(ContactSection.model_validate(point) for point in points)
+    assert patches_of(sections) == {"contact 1": [0], "contact 2": [1], "foot": [2, 3], "contact 5": [4, 5]}

@@ -25,8 +25,9 @@ def test_a_random_motion_goes_on(tmp_path, seed):
     (tmp_path / "scenario.toml").write_text(text)
     run = cl.simulate(cl.load_scenario(str(tmp_path / "scenario.toml")), law=no_torque, engine="compiled")
     wrong = examine(run, known["mu"], rests=False)
-    assert wrong.pop("gap", 0.0) > -1e-5
-    assert wrong.pop("energy", 0.0) < 1e-5
+    stepped = "time_stepping_start" in {event.kind for event in run.events}
+    assert wrong.pop("gap", 0.0) > (-1e-5 if stepped else -2e-6)
+    assert wrong.pop("energy", 0.0) < (1e-5 if stepped else 1e-6)
     assert wrong.keys() <= {"energy of a gap"}
 
 
